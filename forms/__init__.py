@@ -1,0 +1,51 @@
+"""The continuous side: fields, kinematics, materials and Lagrangians in UFL (seed, eq. 1).
+
+Nothing here knows PETSc. A formulation is a short function from fields to an energy density; the
+solvers derive the Newton system from its integral.
+"""
+
+from mpi4py import MPI  # noqa: F401  (with the PyPI wheel MPI must be imported before DOLFINx)
+
+from forms.cell_data import CellData
+from forms.fields import displacement_field, mixed_fields
+from forms.formulations import (
+    FORMULATIONS,
+    Formulation,
+    displacement,
+    seed,
+    seed_singular,
+    symmetric,
+)
+from forms.kinematics import deformation_gradient
+from forms.materials import (
+    MATERIALS,
+    AsRigidAsPossible,
+    Corotational,
+    Material,
+    StableNeoHookean,
+    lame_parameters,
+)
+from forms.rotation import polar_rotation, right_stretch
+from forms.time import BackwardEuler
+
+__all__ = [
+    "FORMULATIONS",
+    "MATERIALS",
+    "AsRigidAsPossible",
+    "BackwardEuler",
+    "CellData",
+    "Corotational",
+    "Formulation",
+    "Material",
+    "StableNeoHookean",
+    "deformation_gradient",
+    "displacement",
+    "displacement_field",
+    "lame_parameters",
+    "mixed_fields",
+    "polar_rotation",
+    "right_stretch",
+    "seed",
+    "seed_singular",
+    "symmetric",
+]

@@ -1,0 +1,140 @@
+r"""The polar rotation R(F) as a custom per-cell expression that UFL can differentiate twice.
+
+F = R S with R in SO(3) and S symmetric is found cell by cell through a singular value decomposition
+(seed, eq. 14), which UFL cannot see through. So the SVD only supplies numbers, R₀ = R(F₀),
+S₀ = S(F₀) at the current F₀, and the UFL expression is the exact second-order Taylor polynomial of
+R around F₀ in terms of them. At F = F₀, where a solver evaluates it, its value and its first and
+second derivatives are those of R. A residual needs R and ∂R, a Jacobian ∂²R too.
+
+Derivation. Let A = R₀ᵀF, symmetric at F₀. R(F) = R₀ Q(b), Q(b) = (1 + b·b)⁻¹ ((1 - b·b) I +
+2 [b]ₓ + 2 b bᵀ) the rotation of the quaternion (1, b), maximises tr(RᵀF). The maximum f is the
+largest eigenvalue of Horn's 4×4 matrix of A with eigenvector (1, b), which reads
+
+    M(f) b = a,   f = tr A + a·b,   M(f) = (f + tr A) I - 2 sym A,   a = axial(A - Aᵀ).
+
+a vanishes at F₀, so f = tr A + O(a²) and b = M(tr A)⁻¹ a + O(a³). Write D = sym A - S₀ and
+G = M(tr S₀)⁻¹ = (2 (tr S₀ I - S₀))⁻¹; expanding the inverse, to second order,
+
+    b = b₁ + b₂,   b₁ = G a,   b₂ = -2 G (tr D I - D) b₁,
+    R = R₀ (I + 2 [b₁ + b₂]ₓ + 2 [b₁]ₓ²),
+
+a polynomial of degree two in F with coefficients R₀, S₀, G. G exists wherever σᵢ + σⱼ ≠ 0, that is
+wherever R is smooth: at rest, with equal singular values, and for det F < 0 while σ₂ + σ₃ ≠ 0.
+
+B. K. P. Horn, Closed-form solution of absolute orientation using unit quaternions, JOSA A 4 (1987).
+"""
+
+from __future__ import annotations
+
+import weakref
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from ufl.core.expr import Expr
+
+from dolfinx import fem
+from forms.cell_data import CellData
+from forms.kinematics import deformation_gradient
+
+_LOWER = np.tril_indices(3)
+
+
+class _PolarData(CellData):
+    """R₀ (9), S₀ (6) and G (6) of each tetrahedron, in one DG0 coefficient of 21 components."""
+
+    def __init__(self, u: fem.Function) -> None:
+        msh = u.function_space.mesh
+        super().__init__(fem.functionspace(msh, ("DG", 0, (21,))), name="polar")
+        points = self.function_space.element.interpolation_points
+        self._F = fem.Expression(deformation_gradient(u), points)
+        cells = msh.topology.index_map(msh.topology.dim)
+        self._cells = np.arange(cells.size_local + cells.num_ghosts, dtype=np.int32)
+        self.refresh()
+
+    def refresh(self) -> None:
+        F = self._F.eval(self.function_space.mesh, self._cells).reshape(-1, 3, 3)
+        R, S, G = polar_factors(F)
+        values = self.x.array.reshape(-1, 21)
+        values[:, :9] = R.reshape(-1, 9)
+        values[:, 9:15] = S[:, *_LOWER]
+        values[:, 15:] = G[:, *_LOWER]
+
+    def unpack(self) -> tuple[Expr, Expr, Expr]:
+        """Return (R₀, S₀, G) as UFL matrices."""
+        lower = [[0, 1, 3], [1, 2, 4], [3, 4, 5]]
+        full = [[0, 1, 2], [3, 4, 5], [6, 7, 8]]
+        R, S, G = (
+            ufl.as_matrix([[self[offset + k] for k in row] for row in table])
+            for offset, table in ((0, full), (9, lower), (15, lower))
+        )
+        return R, S, G
+
+
+def polar_factors(
+    F: npt.NDArray[np.float64],
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Return R, S and G = (2 (tr S I - S))⁻¹ of deformation gradients.
+
+    Where det F < 0 the smallest singular value is taken negative, so that R stays in SO(3).
+
+    Args:
+        F: Deformation gradients, shape (n, 3, 3).
+
+    Returns:
+        Three arrays of shape (n, 3, 3). G is not finite where σ₂ + σ₃ = 0: no derivative of R there.
+
+    Raises:
+        numpy.linalg.LinAlgError: An F that is not finite.
+    """
+    U, sigma, Vt = np.linalg.svd(F)
+    reflected = np.linalg.det(U @ Vt) < 0.0
+    U[reflected, :, 2] *= -1.0
+    sigma[reflected, 2] *= -1.0
+    V = Vt.transpose(0, 2, 1)
+    S = np.einsum("nik,nk,njk->nij", V, sigma, V)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        gamma = 0.5 / (sigma.sum(axis=1, keepdims=True) - sigma)
+        G = np.einsum("nik,nk,njk->nij", V, gamma, V)
+    return U @ Vt, S, G
+
+
+def _cross(b: Expr) -> Expr:
+    """The skew matrix [b]ₓ with [b]ₓ v = b × v."""
+    return ufl.as_matrix([[0, -b[2], b[1]], [b[2], 0, -b[0]], [-b[1], b[0], 0]])
+
+
+# One set of per-cell data for each displacement, as long as an expression uses it.
+_polar_data: weakref.WeakValueDictionary[int, _PolarData] = weakref.WeakValueDictionary()
+
+
+def polar_rotation(u: fem.Function) -> Expr:
+    """Return R(F(u)) in SO(d), with exact first and second UFL derivatives, shape (d, d).
+
+    In 3D the expression holds per-cell data (`CellData`) that a solver refreshes; in 2D it is the
+    closed form R = (F + cof F) / |F + cof F| √2, exact to every order.
+
+    Args:
+        u: P1 displacement [m] on triangles or tetrahedra.
+    """
+    F = deformation_gradient(u)
+    if len(u) == 2:
+        c, s = F[0, 0] + F[1, 1], F[1, 0] - F[0, 1]
+        r = ufl.sqrt(c**2 + s**2)
+        return ufl.as_matrix([[c / r, -s / r], [s / r, c / r]])
+    data = _polar_data.get(u.count())
+    if data is None:
+        data = _polar_data[u.count()] = _PolarData(u)
+    R0, S0, G = data.unpack()
+    A = R0.T * F
+    a = ufl.as_vector([A[2, 1] - A[1, 2], A[0, 2] - A[2, 0], A[1, 0] - A[0, 1]])
+    D = ufl.sym(A) - S0
+    I = ufl.Identity(3)  # noqa: E741
+    b1 = G * a
+    b2 = -2 * G * ((ufl.tr(D) * I - D) * b1)
+    return R0 * (I + 2 * _cross(b1) + 2 * _cross(b2) + 2 * _cross(b1) * _cross(b1))
+
+
+def right_stretch(u: fem.Function) -> Expr:
+    """Return S(F(u)) = sym(RᵀF), with exact first and second UFL derivatives, shape (d, d)."""
+    return ufl.sym(polar_rotation(u).T * deformation_gradient(u))

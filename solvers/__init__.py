@@ -1,0 +1,20 @@
+"""Solvers: an energy and its fields in, a converged state out. No physics here."""
+
+from mpi4py import MPI  # noqa: F401  (with the PyPI wheel MPI must be imported before DOLFINx)
+
+from solvers.options import BACKTRACKING, DIRECT, NEWTON, SOLVERS
+from solvers.problem import MixedProblem
+from solvers.result import ConvergenceError, SolveResult
+from solvers.stepping import TimeScheme, march
+
+__all__ = [
+    "BACKTRACKING",
+    "DIRECT",
+    "NEWTON",
+    "SOLVERS",
+    "ConvergenceError",
+    "MixedProblem",
+    "SolveResult",
+    "TimeScheme",
+    "march",
+]

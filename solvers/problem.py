@@ -1,0 +1,279 @@
+"""From an energy to a converged state: UFL derivatives, DOLFINx's NonlinearProblem, PETSc."""
+
+from __future__ import annotations
+
+import itertools
+import logging
+import time
+import weakref
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from mpi4py import MPI
+from petsc4py import PETSc
+from ufl.algorithms import expand_derivatives
+
+from dolfinx import fem
+from dolfinx.fem.petsc import NonlinearProblem, assign
+from forms import CellData
+from solvers.options import BACKTRACKING, NEWTON, SOLVERS, Options
+from solvers.result import ConvergenceError, SolveResult
+
+logger = logging.getLogger("mixed_fem")
+
+_serial = itertools.count()
+
+
+class MixedProblem:
+    """Make an energy of a displacement and cell-local fields stationary.
+
+    Residual and Newton blocks are UFL derivatives of the energy. Unknowns and equations of each
+    field are scaled so that the blocks of the first Jacobian have comparable entries; a multiplier
+    comes out scaled by a stress. Per-cell data in the energy (`forms.CellData`) are refreshed at
+    each evaluation.
+
+    Attributes:
+        fields: The unknowns.
+        problem: The `dolfinx.fem.petsc.NonlinearProblem`; its SNES is `problem.solver`.
+        scales: Unit of each field in the scaled system, found at the first solve.
+    """
+
+    def __init__(
+        self,
+        energy: ufl.Form,
+        fields: Sequence[fem.Function],
+        bcs: Sequence[fem.DirichletBC] = (),
+        *,
+        solver: str = "direct",
+        options: Options | None = None,
+        jit_options: dict[str, Any] | None = None,
+    ) -> None:
+        """Derive and compile the Newton system (seconds the first time, then cached on disk).
+
+        Args:
+            energy: Energy [J], a functional of `fields`.
+            fields: The unknowns, the displacement first, then cell-local fields if there are any.
+            bcs: Dirichlet conditions on the displacement.
+            solver: A name in `SOLVERS`.
+            options: PETSc options that override the defaults of Newton's method and of `solver`.
+            jit_options: DOLFINx's options for compiling forms.
+
+        Raises:
+            ValueError: An unknown solver, or an energy that is not a functional of the fields.
+        """
+        if solver not in SOLVERS:
+            raise ValueError(f"solver is {solver!r}; available: {', '.join(SOLVERS)}")
+        if energy.arguments():
+            raise ValueError("the energy has test or trial functions; it must be a functional")
+        missing = [f.name for f in fields if f not in energy.coefficients()]
+        if missing:
+            raise ValueError(f"the energy does not depend on the field {missing[0]}")
+        self.fields = tuple(fields)
+        self.scales: npt.NDArray[np.float64] | None = None
+        self._cell_data = [c for c in energy.coefficients() if isinstance(c, CellData)]
+        self._norms: list[dict[str, float]] = []
+        self._residuals: list[float] = []
+        self._timings: dict[str, float] = {}
+
+        tests = [ufl.TestFunction(f.function_space) for f in fields]
+        trials = [ufl.TrialFunction(f.function_space) for f in fields]
+        residual = [ufl.derivative(energy, f, v) for f, v in zip(fields, tests, strict=True)]
+        jacobian = [
+            [_or_none(ufl.derivative(r, f, du)) for f, du in zip(fields, trials, strict=True)]
+            for r in residual
+        ]
+        defaults = NEWTON if len(fields) > 1 else BACKTRACKING
+        logger.info("compiling the residual and the Jacobian (cached on disk afterwards)")
+        start = time.perf_counter()
+        self.problem = NonlinearProblem(
+            residual,
+            self.fields,
+            J=jacobian,
+            bcs=list(bcs),
+            kind="mpi",
+            petsc_options_prefix=(prefix := f"mixed_fem_{next(_serial)}_"),
+            jit_options=jit_options,
+        )
+        logger.info("compiled in %.1f s", time.perf_counter() - start)
+
+        snes = self.problem.solver
+        _set_options(self, prefix, {**defaults, **SOLVERS[solver][1], **(options or {})})
+        snes.setFromOptions()
+        _, (assemble, _args, kwargs) = snes.getFunction()
+        snes.setFunction(self._evaluate(assemble, "residual", kwargs), self.problem.b)
+        A, P, (assemble, _args, kwargs) = snes.getJacobian()
+        self._jacobian = self._evaluate(assemble, "jacobian", kwargs)
+        snes.setJacobian(self._jacobian, A, P)
+        snes.setMonitor(self._monitor)
+        # D: the scale of each unknown; x: the unscaled unknowns, as DOLFINx's callbacks want them.
+        self._D = self.problem.x.duplicate()
+        self._x = self.problem.x.duplicate()
+
+    def solve(self) -> SolveResult:
+        """Solve from the current values of the fields, and put the solution there.
+
+        Raises:
+            ConvergenceError: Newton's method or the linear solver failed. The fields keep the
+                values they had.
+        """
+        start = time.perf_counter()
+        before = [f.x.array.copy() for f in self.fields]
+        self._norms, self._residuals = [], []
+        self._timings = {"residual": 0.0, "jacobian": 0.0}
+        if self.scales is None:
+            self._set_scales()
+        snes, x = self.problem.solver, self.problem.x
+        assign(self.fields, x)
+        x.pointwiseDivide(x, self._D)
+        snes.setTolerances(atol=self._round_off())
+        snes.solve(None, x)
+        x.pointwiseMult(x, self._D)
+        self._to_fields(x)
+        self._timings["total"] = time.perf_counter() - start
+        self._timings["linear"] = self._timings["total"] - sum(
+            self._timings[phase] for phase in ("residual", "jacobian")
+        )
+        reason = snes.getConvergedReason()
+        result = SolveResult(
+            iterations=snes.getIterationNumber(),
+            krylov_iterations=snes.getLinearSolveIterations(),
+            reason=_REASONS[reason],
+            norms=self._norms,
+            residuals=self._residuals,
+            timings=self._timings,
+        )
+        if reason <= 0:
+            self.scales = None
+            for f, values in zip(self.fields, before, strict=True):
+                f.x.array[:] = values
+            raise ConvergenceError(result)
+        return result
+
+    def refresh(self) -> None:
+        """Recompute all per-cell data from the current fields, for evaluating an expression."""
+        for data in self._cell_data:
+            data.refresh()
+
+    def _to_fields(self, x: PETSc.Vec) -> None:
+        x.ghostUpdate(PETSc.InsertMode.INSERT, PETSc.ScatterMode.FORWARD)
+        assign(x, self.fields)
+
+    def _evaluate(
+        self, assemble: Callable[..., None], phase: str, kwargs: dict[str, Any]
+    ) -> Callable[..., None]:
+        """Wrap DOLFINx's callback: unscale, refresh the per-cell data, assemble, scale."""
+
+        def callback(snes: PETSc.SNES, x: PETSc.Vec, *out: PETSc.Vec | PETSc.Mat) -> None:
+            start = time.perf_counter()
+            self._x.pointwiseMult(x, self._D)
+            self._to_fields(self._x)
+            self.refresh()
+            assemble(snes, self._x, *out, **kwargs)
+            if phase == "residual":
+                out[0].pointwiseMult(out[0], self._D)
+            else:
+                out[0].diagonalScale(self._D, self._D)
+            self._timings[phase] += time.perf_counter() - start
+
+        return callback
+
+    def _monitor(self, snes: PETSc.SNES, iteration: int, norm: float) -> None:
+        b = self.problem.b.array_r / self._D.array_r
+        sums = np.array([np.sum(part**2) for part in np.split(b, self._offsets()[1:-1])])
+        norms = np.sqrt(self._comm.allreduce(sums, op=MPI.SUM))
+        self._norms.append({f.name: float(n) for f, n in zip(self.fields, norms, strict=True)})
+        self._residuals.append(float(norm))
+        logger.debug("Newton %d: %s", iteration, self._norms[-1])
+
+    @property
+    def _comm(self) -> MPI.Comm:
+        comm: MPI.Comm = self.fields[0].function_space.mesh.comm
+        return comm
+
+    def _offsets(self) -> npt.NDArray[np.int64]:
+        """Where each field starts among this rank's owned unknowns."""
+        dofmaps = [f.function_space.dofmap for f in self.fields]
+        return np.cumsum([0, *(m.index_map.size_local * m.index_map_bs for m in dofmaps)])
+
+    def _set_scales(self) -> None:
+        """Equilibrate the blocks of the Jacobian at the current state (Ruiz, RAL-TR-2001-034)."""
+        n, snes, A = len(self.fields), self.problem.solver, self.problem.A
+        self._D.set(1.0)
+        assign(self.fields, self.problem.x)
+        self._jacobian(snes, self.problem.x, A, A)
+        indptr, columns, values = A.getValuesCSR()
+        # The columns are numbered rank by rank, and within a rank field by field.
+        starts = [
+            first + offsets[:-1]
+            for first, offsets in zip(
+                A.getOwnershipRangesColumn(), self._comm.allgather(self._offsets()), strict=False
+            )
+        ]
+        column_field = (np.searchsorted(np.concatenate(starts), columns, side="right") - 1) % n
+        row_field = np.repeat(np.arange(n), np.diff(self._offsets()))
+        in_row = np.diff(indptr)
+        # The identity rows of Dirichlet conditions carry no unit.
+        weight = np.repeat(np.add.reduceat(values != 0, indptr[:-1]) > 1, in_row) & (values != 0)
+        pair = np.repeat(row_field, in_row) * n + column_field
+        sums = np.array(
+            [np.bincount(pair, w, n * n) for w in (weight * values**2, weight.astype(float))]
+        )
+        squares, counts = self._comm.allreduce(sums, op=MPI.SUM)
+        entries = np.sqrt(squares / np.maximum(counts, 1)).reshape(n, n)
+        # The cell-local fields among themselves first: a multiplier takes the unit of the Hessian
+        # that it stands beside, whatever inertia adds to the displacement's own block.
+        scales = np.ones(n)
+        local = np.s_[1:]
+        for _ in range(50 if n > 1 else 0):
+            block = scales[local, None] * entries[local, local] * scales[local]
+            scales[local] /= np.sqrt(block.max(axis=1))
+        scales[0] = 1.0 / max(np.sqrt(entries[0, 0]), *(entries[0, local] * scales[local]), 0.0)
+        # A state without a Jacobian is for Newton's method to report.
+        self.scales = scales if np.isfinite(scales).all() else np.ones(n)
+        self._D.array_w[:] = np.repeat(self.scales, np.diff(self._offsets()))
+
+    def _round_off(self) -> float:
+        """The scaled residual below which there is only rounding error.
+
+        Entries of the scaled Jacobian are of order one, so that a perturbation of the unknowns by
+        machine precision changes the scaled residual by machine precision times their norm. The
+        displacement counts with the size of the body, whose positions are what rounding acts on.
+        """
+        assert self.scales is not None
+        X = self.fields[0].function_space.mesh.geometry.x
+        corners = np.concatenate([X.max(axis=0, initial=-np.inf), -X.min(axis=0, initial=np.inf)])
+        self._comm.Allreduce(MPI.IN_PLACE, corners, op=MPI.MAX)
+        size = float(np.linalg.norm(corners[:3] + corners[3:])) / self.scales[0]
+        dofmap = self.fields[0].function_space.dofmap
+        norm = np.hypot(self.problem.x.norm(), size * np.sqrt(dofmap.index_map.size_global))
+        return float(np.finfo(float).eps * norm)
+
+
+def _set_options(owner: MixedProblem, prefix: str, options: Options) -> None:
+    """Enter options under a prefix for as long as their owner lives; the command line wins."""
+    database = PETSc.Options(prefix)
+    ours = {k: v for k, v in options.items() if not database.hasName(k)}
+    for key, value in ours.items():
+        database[key] = value
+
+    def remove() -> None:
+        for key in ours:
+            database.delValue(key)
+
+    weakref.finalize(owner, remove)
+
+
+def _or_none(form: ufl.Form) -> ufl.Form | None:
+    """A block that vanishes identically as None."""
+    form = expand_derivatives(form)
+    return None if form.empty() else form
+
+
+_REASONS = {
+    value: name
+    for name, value in vars(PETSc.SNES.ConvergedReason).items()
+    if isinstance(value, int) and name.startswith(("CONVERGED", "DIVERGED"))
+}

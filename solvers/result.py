@@ -1,0 +1,52 @@
+"""What a solve returns, and what it raises when it fails."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True)
+class SolveResult:
+    """A converged Newton solve.
+
+    Attributes:
+        iterations: Number of Newton iterations.
+        krylov_iterations: Number of linear iterations over all Newton iterations.
+        reason: PETSc's name of the reason for stopping, such as "CONVERGED_FNORM_RELATIVE".
+        norms: For the starting point and each Newton iteration, the Euclidean norm of every
+            field's residual by field name, in the field's own units (J over the field's unit).
+        residuals: The norm that Newton's method itself sees at the same points: of all residuals
+            together, each scaled to make the blocks of the Jacobian comparable. Dimensionless up to
+            a common factor; rates of convergence are read from it.
+        timings: Wall seconds on this rank by phase: "residual", "jacobian", "linear", "total".
+    """
+
+    iterations: int
+    krylov_iterations: int
+    reason: str
+    norms: list[dict[str, float]] = field(repr=False)
+    residuals: list[float] = field(repr=False)
+    timings: dict[str, float] = field(repr=False)
+
+
+class ConvergenceError(RuntimeError):
+    """A Newton solve failed; the fields hold what they held before it.
+
+    Attributes:
+        result: The iterations, reason and norms up to the failure.
+    """
+
+    def __init__(self, result: SolveResult) -> None:
+        self.result = result
+        super().__init__(f"Newton's method failed: {result.reason}\n{history_table(result)}")
+
+
+def history_table(result: SolveResult) -> str:
+    """Return the residual norms of each iteration as lines of text."""
+    names = list(result.norms[0]) if result.norms else []
+    header = f"{'it':>4}  {'residual':>9}  " + "  ".join(f"{'|r_' + n + '|':>9}" for n in names)
+    rows = (
+        f"{k:4d}  {residual:9.2e}  " + "  ".join(f"{norms[n]:9.2e}" for n in names)
+        for k, (residual, norms) in enumerate(zip(result.residuals, result.norms, strict=True))
+    )
+    return "\n".join([header, *rows])

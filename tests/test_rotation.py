@@ -1,0 +1,119 @@
+"""The polar rotation against routes that share nothing with it."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import basix.ufl
+import numpy as np
+import pytest
+import scipy.linalg
+import ufl
+from dolfinx import fem, mesh
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from tests.states import small_mesh
+
+from forms import displacement_field, polar_rotation, right_stretch
+
+entries = st.floats(-2.0, 2.0, allow_subnormal=False)
+
+
+class OneCell:
+    """One cell with F prescribed: R and S as the UFL expressions give them."""
+
+    def __init__(self, d):
+        simplex = np.vstack([np.zeros(d), np.eye(d)])
+        first = MPI.COMM_WORLD.rank == 0
+        element = basix.ufl.element("P", {2: "triangle", 3: "tetrahedron"}[d], 1, shape=(d,))
+        self.mesh = mesh.create_mesh(
+            MPI.COMM_WORLD,
+            np.array([range(d + 1)] if first else np.empty((0, d + 1)), dtype=np.int64),
+            element,
+            simplex if first else np.empty((0, d)),
+        )
+        self.d = d
+        self.u = displacement_field(self.mesh)
+        points = np.full((1, d), 1.0 / (d + 1))
+        self.cells = np.arange(self.mesh.topology.index_map(d).size_local, dtype=np.int32)
+        expression = polar_rotation(self.u)
+        self.data = [c for c in ufl.algorithms.extract_coefficients(expression) if c is not self.u]
+        self.R = fem.Expression(expression, points)
+        self.S = fem.Expression(right_stretch(self.u), points)
+
+    def evaluate(self, F):
+        """R and S; empty arrays on a rank without the cell."""
+        self.u.interpolate(lambda X: (F - np.eye(self.d)) @ X[: self.d])
+        for data in self.data:
+            data.refresh()
+        return tuple(
+            e.eval(self.mesh, self.cells).reshape(-1, self.d, self.d) for e in (self.R, self.S)
+        )
+
+
+@pytest.fixture(scope="module", params=[2, 3])
+def one_cell(request):
+    return OneCell(request.param)
+
+
+def svd_polar(F):
+    """R and S in SO(d) from NumPy's SVD; the smallest singular value takes the sign of det F."""
+    U, sigma, Vt = np.linalg.svd(F)
+    sign = np.ones(len(F))
+    sign[-1] = np.sign(np.linalg.det(U) * np.linalg.det(Vt))
+    return U @ np.diag(sign) @ Vt, Vt.T @ np.diag(sign * sigma) @ Vt, sign * sigma
+
+
+def check(one_cell, F):
+    R, S, sigma = svd_polar(F)
+    # R is not defined where σ_{d-1} + σ_d = 0, and rounding of F = I + ∂u/∂X grows by its inverse.
+    assume(sigma[-1] + sigma[-2] > 0.02)
+    for R_ufl, S_ufl in zip(*one_cell.evaluate(F), strict=True):
+        np.testing.assert_allclose(R_ufl, R, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(S_ufl, S, rtol=0, atol=1e-12 * max(1.0, sigma[0]))
+
+
+@given(data=st.data())
+def test_random(one_cell, data):
+    """Any F, det F < 0 included."""
+    d = one_cell.d
+    check(one_cell, data.draw(hnp.arrays(float, (d, d), elements=entries)))
+
+
+@given(data=st.data(), size=st.sampled_from([0.0, 1e-15, 1e-8, 1e-3]))
+def test_near_rest(one_cell, data, size):
+    """F near the identity, where eigenvalue formulas break down."""
+    d = one_cell.d
+    check(one_cell, np.eye(d) + size * data.draw(hnp.arrays(float, (d, d), elements=entries)))
+
+
+@given(data=st.data(), stretch=st.floats(1.0, 1e3))
+def test_large_stretch(one_cell, data, stretch):
+    """One direction stretched up to a thousand times, then rotated at random."""
+    d = one_cell.d
+    rotation = svd_polar(data.draw(hnp.arrays(float, (d, d), elements=entries)))[0]
+    F = rotation @ np.diag([stretch, *[1.0 + 0.1 * k for k in range(1, d)]])
+    R, S, _ = svd_polar(F)
+    for R_ufl, S_ufl in zip(*one_cell.evaluate(F), strict=True):
+        np.testing.assert_allclose(R_ufl, R, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(S_ufl, S, rtol=0, atol=1e-12 * stretch)
+
+
+@given(data=st.data())
+def test_agrees_with_scipy(one_cell, data):
+    """scipy.linalg.polar takes another route (it allows reflections, so det F > 0 here)."""
+    d = one_cell.d
+    F = np.eye(d) + 0.4 * data.draw(hnp.arrays(float, (d, d), elements=entries))
+    assume(np.linalg.det(F) > 0.05)
+    R, S = scipy.linalg.polar(F)
+    for R_ufl, S_ufl in zip(*one_cell.evaluate(F), strict=True):
+        np.testing.assert_allclose(R_ufl, R, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(S_ufl, S, rtol=0, atol=1e-12)
+
+
+def test_per_cell_data_are_shared():
+    """Two expressions of one displacement use one set of per-cell data."""
+    u = displacement_field(small_mesh(3))
+    both = ufl.inner(polar_rotation(u), right_stretch(u)) * ufl.dx
+    assert len(both.coefficients()) == 2
