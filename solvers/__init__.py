@@ -2,15 +2,12 @@
 
 from mpi4py import MPI  # noqa: F401  (with the PyPI wheel MPI must be imported before DOLFINx)
 
-from solvers.options import BACKTRACKING, DIRECT, NEWTON, SOLVERS
+from solvers.options import SOLVERS
 from solvers.problem import MixedProblem
 from solvers.result import ConvergenceError, SolveResult
 from solvers.stepping import TimeScheme, march
 
 __all__ = [
-    "BACKTRACKING",
-    "DIRECT",
-    "NEWTON",
     "SOLVERS",
     "ConvergenceError",
     "MixedProblem",

@@ -11,6 +11,8 @@ NEWTON: Options = {
     "snes_linesearch_type": "basic",
     # Relative to the first residual of the solve; one quadratic step below what users look at.
     "snes_rtol": 1e-10,
+    # Residuals may grow a lot before they fall: S follows u with a delay of one iteration.
+    "snes_divergence_tolerance": 1e100,
     # A small step is no sign of convergence.
     "snes_stol": 0.0,
     "snes_max_it": 50,
@@ -34,7 +36,44 @@ DIRECT: Options = {
 }
 """LU factorisation of the whole block system."""
 
-SOLVERS: Mapping[str, tuple[str, Options]] = {
-    "direct": ("LU of the whole block system by MUMPS", DIRECT),
+CONDENSED: Options = {
+    # The preconditioner eliminates the cell-local fields and is an exact solver.
+    "ksp_type": "preonly",
+    "pc_type": "python",
 }
-"""Linear solvers by name: a one-line description and the default options."""
+"""Static condensation; the condensed system has the prefix `condensed_`."""
+
+CONDENSED_DIRECT: Options = {
+    "ksp_type": "preonly",
+    "pc_type": "cholesky",
+    "pc_factor_mat_solver_type": "mumps",
+}
+"""LDLᵀ factorisation of a displacement-sized matrix, which may be indefinite."""
+
+CONDENSED_CG: Options = {
+    "ksp_type": "cg",
+    "ksp_max_it": 500,
+    "pc_type": "gamg",
+    # Rigid-body modes need the rotations smoothed too.
+    "pc_gamg_agg_nsmooths": 1,
+    "pc_gamg_threshold": 0.01,
+    "mg_levels_ksp_type": "chebyshev",
+    "mg_levels_pc_type": "jacobi",
+    "mg_levels_ksp_max_it": 2,
+    # The estimate of the largest eigenvalue by CG, safe for a symmetric matrix.
+    "mg_levels_esteig_ksp_type": "cg",
+    "mg_coarse_sub_pc_type": "lu",
+}
+"""Conjugate gradients with algebraic multigrid on a displacement-sized matrix."""
+
+DIRECT_UP_TO = 30_000
+"""Displacement degrees of freedom up to which a condensed system is factorised."""
+
+FORCING_LIMITS = (1e-2, 1e-8)
+"""Loosest and tightest relative tolerance of an iterative solve inside Newton's method."""
+
+SOLVERS: Mapping[str, str] = {
+    "direct": "LU of the whole block system by MUMPS",
+    "condensed": "cell-local fields eliminated; LDLᵀ or CG with GAMG on the displacement (default)",
+}
+"""Solvers by name, with a one-line description."""

@@ -19,7 +19,10 @@ from ufl.algorithms import expand_derivatives
 from dolfinx import fem
 from dolfinx.fem.petsc import NonlinearProblem, assign
 from forms import CellData
-from solvers.options import BACKTRACKING, NEWTON, SOLVERS, Options
+from solvers import options as defaults
+from solvers.condensation import CondensedSolver, rigid_body_modes
+from solvers.layout import BlockLayout
+from solvers.options import SOLVERS, Options
 from solvers.result import ConvergenceError, SolveResult
 
 logger = logging.getLogger("mixed_fem")
@@ -38,6 +41,7 @@ class MixedProblem:
     Attributes:
         fields: The unknowns.
         problem: The `dolfinx.fem.petsc.NonlinearProblem`; its SNES is `problem.solver`.
+        condensed: The condensed system with `solver="condensed"` and cell-local fields, else None.
         scales: Unit of each field in the scaled system, found at the first solve.
     """
 
@@ -47,7 +51,7 @@ class MixedProblem:
         fields: Sequence[fem.Function],
         bcs: Sequence[fem.DirichletBC] = (),
         *,
-        solver: str = "direct",
+        solver: str = "condensed",
         options: Options | None = None,
         jit_options: dict[str, Any] | None = None,
     ) -> None:
@@ -73,6 +77,7 @@ class MixedProblem:
             raise ValueError(f"the energy does not depend on the field {missing[0]}")
         self.fields = tuple(fields)
         self.scales: npt.NDArray[np.float64] | None = None
+        self._layout = BlockLayout(self.fields)
         self._cell_data = [c for c in energy.coefficients() if isinstance(c, CellData)]
         self._norms: list[dict[str, float]] = []
         self._residuals: list[float] = []
@@ -85,7 +90,6 @@ class MixedProblem:
             [_or_none(ufl.derivative(r, f, du)) for f, du in zip(fields, trials, strict=True)]
             for r in residual
         ]
-        defaults = NEWTON if len(fields) > 1 else BACKTRACKING
         logger.info("compiling the residual and the Jacobian (cached on disk afterwards)")
         start = time.perf_counter()
         self.problem = NonlinearProblem(
@@ -100,7 +104,16 @@ class MixedProblem:
         logger.info("compiled in %.1f s", time.perf_counter() - start)
 
         snes = self.problem.solver
-        _set_options(self, prefix, {**defaults, **SOLVERS[solver][1], **(options or {})})
+        _set_options(self, prefix, {**_default_options(self.fields, solver), **(options or {})})
+        self.condensed: CondensedSolver | None = None
+        if solver == "condensed" and len(self.fields) > 1:
+            self.condensed = CondensedSolver(self.fields, prefix)
+            pc = snes.getKSP().getPC()
+            pc.setType(PETSc.PC.Type.PYTHON)
+            pc.setPythonContext(self.condensed)
+        elif solver == "condensed":
+            self.problem.A.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+            self.problem.A.setNearNullSpace(rigid_body_modes(self.fields[0].function_space))
         snes.setFromOptions()
         _, (assemble, _args, kwargs) = snes.getFunction()
         snes.setFunction(self._evaluate(assemble, "residual", kwargs), self.problem.b)
@@ -125,6 +138,8 @@ class MixedProblem:
         self._timings = {"residual": 0.0, "jacobian": 0.0}
         if self.scales is None:
             self._set_scales()
+        if self.condensed is not None:
+            self.condensed.start()
         snes, x = self.problem.solver, self.problem.x
         assign(self.fields, x)
         x.pointwiseDivide(x, self._D)
@@ -133,13 +148,18 @@ class MixedProblem:
         x.pointwiseMult(x, self._D)
         self._to_fields(x)
         self._timings["total"] = time.perf_counter() - start
+        krylov_iterations = snes.getLinearSolveIterations()
+        self._timings["condensation"] = 0.0
+        if self.condensed is not None:
+            krylov_iterations = self.condensed.iterations
+            self._timings["condensation"] = self.condensed.seconds
         self._timings["linear"] = self._timings["total"] - sum(
-            self._timings[phase] for phase in ("residual", "jacobian")
+            self._timings[phase] for phase in ("residual", "jacobian", "condensation")
         )
         reason = snes.getConvergedReason()
         result = SolveResult(
             iterations=snes.getIterationNumber(),
-            krylov_iterations=snes.getLinearSolveIterations(),
+            krylov_iterations=krylov_iterations,
             reason=_REASONS[reason],
             norms=self._norms,
             residuals=self._residuals,
@@ -182,21 +202,11 @@ class MixedProblem:
 
     def _monitor(self, snes: PETSc.SNES, iteration: int, norm: float) -> None:
         b = self.problem.b.array_r / self._D.array_r
-        sums = np.array([np.sum(part**2) for part in np.split(b, self._offsets()[1:-1])])
-        norms = np.sqrt(self._comm.allreduce(sums, op=MPI.SUM))
+        sums = np.array([np.sum(part**2) for part in self._layout.split(b)])
+        norms = np.sqrt(self._layout.comm.allreduce(sums, op=MPI.SUM))
         self._norms.append({f.name: float(n) for f, n in zip(self.fields, norms, strict=True)})
         self._residuals.append(float(norm))
         logger.debug("Newton %d: %s", iteration, self._norms[-1])
-
-    @property
-    def _comm(self) -> MPI.Comm:
-        comm: MPI.Comm = self.fields[0].function_space.mesh.comm
-        return comm
-
-    def _offsets(self) -> npt.NDArray[np.int64]:
-        """Where each field starts among this rank's owned unknowns."""
-        dofmaps = [f.function_space.dofmap for f in self.fields]
-        return np.cumsum([0, *(m.index_map.size_local * m.index_map_bs for m in dofmaps)])
 
     def _set_scales(self) -> None:
         """Equilibrate the blocks of the Jacobian at the current state (Ruiz, RAL-TR-2001-034)."""
@@ -205,15 +215,8 @@ class MixedProblem:
         assign(self.fields, self.problem.x)
         self._jacobian(snes, self.problem.x, A, A)
         indptr, columns, values = A.getValuesCSR()
-        # The columns are numbered rank by rank, and within a rank field by field.
-        starts = [
-            first + offsets[:-1]
-            for first, offsets in zip(
-                A.getOwnershipRangesColumn(), self._comm.allgather(self._offsets()), strict=False
-            )
-        ]
-        column_field = (np.searchsorted(np.concatenate(starts), columns, side="right") - 1) % n
-        row_field = np.repeat(np.arange(n), np.diff(self._offsets()))
+        column_field = self._layout.fields_of(columns)
+        row_field = np.repeat(np.arange(n), np.diff(self._layout.offsets))
         in_row = np.diff(indptr)
         # The identity rows of Dirichlet conditions carry no unit.
         weight = np.repeat(np.add.reduceat(values != 0, indptr[:-1]) > 1, in_row) & (values != 0)
@@ -221,7 +224,7 @@ class MixedProblem:
         sums = np.array(
             [np.bincount(pair, w, n * n) for w in (weight * values**2, weight.astype(float))]
         )
-        squares, counts = self._comm.allreduce(sums, op=MPI.SUM)
+        squares, counts = self._layout.comm.allreduce(sums, op=MPI.SUM)
         entries = np.sqrt(squares / np.maximum(counts, 1)).reshape(n, n)
         # The cell-local fields among themselves first: a multiplier takes the unit of the Hessian
         # that it stands beside, whatever inertia adds to the displacement's own block.
@@ -233,7 +236,7 @@ class MixedProblem:
         scales[0] = 1.0 / max(np.sqrt(entries[0, 0]), *(entries[0, local] * scales[local]), 0.0)
         # A state without a Jacobian is for Newton's method to report.
         self.scales = scales if np.isfinite(scales).all() else np.ones(n)
-        self._D.array_w[:] = np.repeat(self.scales, np.diff(self._offsets()))
+        self._D.array_w[:] = np.repeat(self.scales, np.diff(self._layout.offsets))
 
     def _round_off(self) -> float:
         """The scaled residual below which there is only rounding error.
@@ -245,7 +248,7 @@ class MixedProblem:
         assert self.scales is not None
         X = self.fields[0].function_space.mesh.geometry.x
         corners = np.concatenate([X.max(axis=0, initial=-np.inf), -X.min(axis=0, initial=np.inf)])
-        self._comm.Allreduce(MPI.IN_PLACE, corners, op=MPI.MAX)
+        self._layout.comm.Allreduce(MPI.IN_PLACE, corners, op=MPI.MAX)
         size = float(np.linalg.norm(corners[:3] + corners[3:])) / self.scales[0]
         dofmap = self.fields[0].function_space.dofmap
         norm = np.hypot(self.problem.x.norm(), size * np.sqrt(dofmap.index_map.size_global))
@@ -264,6 +267,19 @@ def _set_options(owner: MixedProblem, prefix: str, options: Options) -> None:
             database.delValue(key)
 
     weakref.finalize(owner, remove)
+
+
+def _default_options(fields: Sequence[fem.Function], solver: str) -> Options:
+    newton = defaults.NEWTON if len(fields) > 1 else defaults.BACKTRACKING
+    if solver == "direct":
+        return {**newton, **defaults.DIRECT}
+    dofmap = fields[0].function_space.dofmap
+    small = dofmap.index_map.size_global * dofmap.index_map_bs <= defaults.DIRECT_UP_TO
+    condensed = defaults.CONDENSED_DIRECT if small else defaults.CONDENSED_CG
+    if len(fields) > 1:
+        prefixed = {f"condensed_{key}": value for key, value in condensed.items()}
+        return {**newton, **defaults.CONDENSED, **prefixed}
+    return {**newton, **condensed, **({} if small else {"snes_ksp_ew": True})}
 
 
 def _or_none(form: ufl.Form) -> ufl.Form | None:

@@ -18,7 +18,8 @@ class SolveResult:
         residuals: The norm that Newton's method itself sees at the same points: of all residuals
             together, each scaled to make the blocks of the Jacobian comparable. Dimensionless up to
             a common factor; rates of convergence are read from it.
-        timings: Wall seconds on this rank by phase: "residual", "jacobian", "linear", "total".
+        timings: Wall seconds on this rank by phase: "residual", "jacobian",
+            "condensation", "linear", "total".
     """
 
     iterations: int

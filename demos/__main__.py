@@ -1,0 +1,9 @@
+"""`python -m demos` is `mixed-fem`."""
+
+from __future__ import annotations
+
+import sys
+
+from demos.cli import main
+
+sys.exit(main())

@@ -1,0 +1,161 @@
+"""The command line `mixed-fem`, also `python -m demos`.
+
+Exit codes: 0 done, 1 a solve failed, 2 bad input (one line on stderr).
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import traceback
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any, NoReturn
+
+from mpi4py import MPI
+
+from demos.output import OutputError
+from demos.progress import Screen
+from demos.run import run
+from demos.scene import MOTIONS, SCHEMES, Overrides, built_in, load
+from demos.tables import SceneError
+from forms import FORMULATIONS, MATERIALS
+from solvers import SOLVERS
+
+COMM = MPI.COMM_WORLD
+
+
+class UsageError(ValueError):
+    """The command line cannot be understood; the message is one line."""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run a command.
+
+    Args:
+        argv: Arguments, by default those of the process.
+
+    Returns:
+        The exit code, the same on all ranks.
+    """
+    if COMM.size > 1:
+        sys.excepthook = _abort
+    try:
+        given, rest = (parser := _parser()).parse_known_args(argv)
+        command: Callable[[argparse.Namespace], int] = given.command
+        if rest and command is not _later:
+            parser.error(f"unrecognized arguments: {' '.join(rest)}")
+        return command(given)
+    except (UsageError, SceneError, OutputError) as error:
+        if COMM.rank == 0:
+            print("mixed-fem:", *str(error).splitlines(), file=sys.stderr)
+        return 2
+
+
+def _list(_: argparse.Namespace) -> int:
+    screen = Screen(COMM)
+    sections = {
+        "formulations": {name: f.description for name, f in FORMULATIONS.items()},
+        "materials": {name: f"{m.description}; {m.formula}" for name, m in MATERIALS.items()},
+        "motions": MOTIONS,
+        "schemes": {name: (s.__doc__ or "").splitlines()[0] for name, s in SCHEMES.items()},
+        "solvers": dict(SOLVERS),
+        "scenes": {name: load(COMM, name).description for name in built_in()},
+        "studies": {},
+    }
+    for section, entries in sections.items():
+        screen.line(section)
+        for name, description in entries.items():
+            screen.line(f"  {name:<22}{description}")
+        if not entries:
+            screen.line("  none yet")
+    return 0
+
+
+def _run(given: argparse.Namespace) -> int:
+    if given.resume is not None:
+        raise UsageError("--resume is not available yet; runs start at rest")
+    overrides = Overrides(given.steps, given.formulation, given.material, given.solver)
+    scene = load(COMM, given.scene, overrides)
+    out = given.out if given.out is not None else Path("results") / scene.name
+    failures = run(scene, COMM, out, Screen(COMM))
+    if COMM.rank == 0:
+        for failure in failures:
+            print(f"mixed-fem: {failure}", file=sys.stderr)
+    return 1 if failures else 0
+
+
+def _later(given: argparse.Namespace) -> int:
+    raise UsageError(f"{given.name} is not available yet; available: list, run")
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(
+        prog="mixed-fem",
+        description="Mixed variational finite elements for elastic bodies in motion.",
+        epilog="Exit codes: 0 done, 1 a solve failed, 2 bad input. Runs under mpiexec too.",
+    )
+    commands = parser.add_subparsers(required=True, metavar="COMMAND", dest="name")
+
+    listing = commands.add_parser(
+        "list", help="show the formulations, materials, scenes, solvers and studies there are"
+    )
+    listing.set_defaults(command=_list)
+
+    runner = commands.add_parser(
+        "run",
+        help="compute a scene and write its results and picture",
+        description="Compute a scene. Written to DIR: final.npz (X, x, v, S, Lam, in the order of "
+        "the mesh file), history.csv (a row a step), newton.csv (a row a Newton iteration), "
+        "fields/fields.pvd (for ParaView), picture.png.",
+    )
+    runner.add_argument(
+        "scene", metavar="SCENE", help="name of a built-in scene, or path of a TOML file"
+    )
+    runner.add_argument(
+        "--out", type=Path, metavar="DIR", help="folder for the results (default: results/SCENE)"
+    )
+    runner.add_argument(
+        "--steps", type=_integer, metavar="N", help="number of time steps, instead of the scene's"
+    )
+    runner.add_argument(
+        "--formulation", metavar="F", help=f"one of {', '.join(FORMULATIONS)}; default: the scene's"
+    )
+    runner.add_argument(
+        "--material", metavar="M", help=f"one of {', '.join(MATERIALS)}; default: the scene's"
+    )
+    runner.add_argument(
+        "--solver", metavar="S", help=f"one of {', '.join(SOLVERS)}; default: the scene's"
+    )
+    runner.add_argument("--resume", metavar="FILE", help="not available yet")
+    runner.set_defaults(command=_run)
+
+    for name in ("compare", "study"):
+        commands.add_parser(name, help="not available yet").set_defaults(command=_later)
+    return parser
+
+
+def _integer(text: str) -> int:
+    try:
+        return int(text)
+    except ValueError as e:
+        raise argparse.ArgumentTypeError(f"must be a whole number, not {text!r}") from e
+
+
+class _Parser(argparse.ArgumentParser):
+    """An argument parser that speaks on rank 0 only, and complains in one line."""
+
+    def error(self, message: str) -> NoReturn:
+        raise UsageError(f"{message} (see {self.prog} --help)")
+
+    def print_help(self, file: Any = None) -> None:
+        if COMM.rank == 0:
+            super().print_help(file)
+
+
+def _abort(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> Any:
+    """An exception on one rank would leave the others waiting for ever."""
+    traceback.print_exception(kind, error, trace)
+    sys.stderr.flush()
+    COMM.Abort(1)

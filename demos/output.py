@@ -1,0 +1,241 @@
+"""What a run leaves on disk. Arrays are gathered to rank 0 in the order of the mesh file."""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from mpi4py import MPI
+
+import meshio
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+from dolfinx.io import VTKFile
+
+from demos.simulation import Energies, Simulation
+from meshes import Body
+from solvers import SolveResult
+
+_STEP = ("step", "time", "newton_iterations", "krylov_iterations")
+_ENERGIES = ("kinetic_energy", "elastic_energy", "potential_energy")
+_SECONDS = ("seconds_assembly", "seconds_condensation", "seconds_solve")
+
+Array = npt.NDArray[Any]
+
+
+class OutputError(OSError):
+    """The output folder cannot be used; the message is one line."""
+
+
+class Output:
+    """The files of one run, written as the run goes; a context manager.
+
+    - ``history.csv``: a row a step, on disk when the step is done.
+    - ``newton.csv``: a row a Newton iteration, the starting point being iteration 0.
+    - ``fields/fields.pvd``: displacement u [m] and |S - I| of each step, for ParaView.
+    - ``final.npz``: see `final_state`.
+
+    Files of a former run are removed from the folder, others are left alone.
+    """
+
+    def __init__(self, folder: Path, simulation: Simulation) -> None:
+        """Clear the folder and open the files. Collective.
+
+        Raises:
+            OutputError: On all ranks: the folder cannot be written to.
+        """
+        self.folder = folder
+        self.simulation = simulation
+        self._comm = simulation.body.mesh.comm
+        self._step = 0
+        names = [f.name for f in simulation.fields]
+        residuals = [f"residual_{name}" for name in names]
+        self._names = names
+        make_folder(self._comm, folder)
+        _on_rank_0(self._comm, folder, lambda: _remove_former_results(folder))
+        self._history = _Csv(
+            self._comm,
+            folder / "history.csv",
+            [*_STEP, *residuals, *_ENERGIES, *_SECONDS],
+        )
+        self._newton = _Csv(
+            self._comm, folder / "newton.csv", ["step", "iteration", "residual", *residuals]
+        )
+        self._u = simulation.fields[0]
+        strain_space = fem.functionspace(simulation.body.mesh, ("DG", 0))
+        self._strain = fem.Function(strain_space, name="|S - I|")
+        self._vtk = VTKFile(self._comm, str(folder / "fields" / "fields.pvd"), "w")
+        self._write_fields()
+
+    def __enter__(self) -> Output:
+        """Return self."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close the files."""
+        self._vtk.close()
+        self._history.close()
+        self._newton.close()
+
+    def step(self, result: SolveResult, energies: Energies) -> None:
+        """Record a step that has been solved and advanced. Collective."""
+        self.iterations(result)
+        self._step += 1
+        seconds = result.timings
+        self._history.row(
+            [
+                *(self._step, self.simulation.scheme.t),
+                *(result.iterations, result.krylov_iterations),
+                *(result.norms[-1][name] for name in self._names),
+                *(energies.kinetic, energies.elastic, energies.potential),
+                seconds["residual"] + seconds["jacobian"],
+                seconds.get("condensation", 0.0),
+                seconds["linear"],
+            ]
+        )
+        self._write_fields()
+
+    def iterations(self, result: SolveResult) -> None:
+        """Record the Newton iterations of the step under way, finished or failed."""
+        for k, (norms, norm) in enumerate(zip(result.norms, result.residuals, strict=True)):
+            self._newton.row([self._step + 1, k, norm, *(norms[name] for name in self._names)])
+
+    def final(self) -> dict[str, Array] | None:
+        """Write the state reached to ``final.npz``; return it on rank 0. Collective."""
+        state = final_state(self.simulation)
+        if state is not None:
+            np.savez_compressed(self.folder / "final.npz", **state)  # type: ignore[arg-type]
+        return state
+
+    def _write_fields(self) -> None:
+        space = self._strain.function_space
+        cells = space.dofmap.list[: len(self.simulation.body.file_cells)].ravel()
+        strain = self.simulation.stretch() - np.eye(self.simulation.body.mesh.geometry.dim)
+        self._strain.x.array[cells] = np.linalg.norm(strain, axis=(1, 2))
+        self._strain.x.scatter_forward()
+        self._vtk.write_function([self._u, self._strain], self.simulation.scheme.t)
+
+
+def final_state(simulation: Simulation) -> dict[str, Array] | None:
+    """The state reached, on rank 0 in the order of the mesh file. Collective.
+
+    Returns:
+        On rank 0 ``X`` and ``x``, rest and present positions [m], and ``v``, velocity [m/s], of
+        shape (vertices, d); ``S``, right stretch, and ``Lam``, first Piola-Kirchhoff stress [Pa],
+        of shape (cells, d, d); ``cells``, vertex numbers of shape (cells, d + 1), each row in
+        ascending order; ``t``, the time [s]. None on other ranks.
+    """
+    body, scheme = simulation.body, simulation.scheme
+    comm, geometry = body.mesh.comm, body.mesh.geometry
+    d, nodes = geometry.dim, geometry.index_map().size_local
+    X = gather(
+        comm, geometry.input_global_indices[:nodes], geometry.x[:nodes, :d], body.num_vertices
+    )
+    u = _gather_vertices(body, simulation.fields[0])
+    v = _gather_vertices(body, scheme.v)
+    cells = gather(comm, body.file_cells, np.sort(body.file_connectivity()), body.num_cells)
+    S = gather(comm, body.file_cells, simulation.stretch(), body.num_cells)
+    Lam = gather(comm, body.file_cells, simulation.stress(), body.num_cells)
+    if X is None or u is None or v is None or cells is None or S is None or Lam is None:
+        return None
+    return {
+        "X": X, "x": X + u, "v": v, "S": S, "Lam": Lam, "cells": cells, "t": np.array(scheme.t)
+    }  # fmt: skip
+
+
+def _gather_vertices(body: Body, function: fem.Function[Any]) -> Array | None:
+    V = function.function_space
+    owned = V.dofmap.index_map.size_local
+    values = function.x.array.reshape(-1, V.dofmap.index_map_bs)[:owned]
+    return gather(body.mesh.comm, body.file_vertices(V)[:owned], values, body.num_vertices)
+
+
+def gather(comm: MPI.Comm, numbers: Array, values: Array, size: int) -> Array | None:
+    """Collect rows that the ranks own into one array on rank 0. Collective.
+
+    Args:
+        comm: Communicator.
+        numbers: Place of each row of `values` in the result.
+        values: Rows that this rank owns.
+        size: Number of rows over all ranks.
+
+    Returns:
+        Shape (size, *values.shape[1:]) on rank 0, None elsewhere.
+    """
+    parts = comm.gather((numbers, values))
+    if parts is None:
+        return None
+    whole = np.empty((size, *values.shape[1:]), dtype=values.dtype)
+    for places, rows in parts:
+        whole[places] = rows
+    return whole
+
+
+def make_folder(comm: MPI.Comm, folder: Path) -> None:
+    """Make a folder for results, before anything long is begun. Collective.
+
+    Raises:
+        OutputError: On all ranks: the folder cannot be made or written to.
+    """
+    _on_rank_0(comm, folder, lambda: (folder / "fields").mkdir(parents=True, exist_ok=True))
+
+
+def _remove_former_results(folder: Path) -> None:
+    names = ("final.npz", "history.csv", "newton.csv", "picture.png", "picture.vtu")
+    former = [folder / name for name in names]
+    for path in [*former, *(folder / "fields").glob("fields*.*vt[ud]")]:
+        path.unlink(missing_ok=True)
+
+
+def _on_rank_0(comm: MPI.Comm, folder: Path, action: Callable[[], None]) -> None:
+    error = None
+    if comm.rank == 0:
+        try:
+            action()
+            if not os.access(folder, os.W_OK | os.X_OK):
+                error = "Permission denied"
+        except OSError as e:
+            error = e.strerror
+    error = comm.bcast(error)
+    if error is not None:
+        raise OutputError(f"--out {folder}: cannot be written to ({error})")
+
+
+def write_surface(path: Path, state: Mapping[str, Array]) -> None:
+    """Write a gathered state as a VTK file: present positions with |S - I| on the cells."""
+    d = state["X"].shape[1]
+    points = np.zeros((len(state["x"]), 3))
+    points[:, :d] = state["x"]
+    strain = np.linalg.norm(state["S"] - np.eye(d), axis=(1, 2))
+    kind = "triangle" if d == 2 else "tetra"
+    meshio.Mesh(points, [(kind, state["cells"])], cell_data={"|S - I|": [strain]}).write(path)
+
+
+class _Csv:
+    """A table on disk, complete after every row; exists on rank 0."""
+
+    def __init__(self, comm: MPI.Comm, path: Path, columns: Sequence[str]) -> None:
+        self._file: io.TextIOWrapper | None = None
+        if comm.rank == 0:
+            self._file = path.open("w", newline="", encoding="utf-8")
+        self.row(columns)
+
+    def row(self, values: Sequence[object]) -> None:
+        if self._file is not None:
+            csv.writer(self._file).writerow(values)
+            self._file.flush()
+
+    def close(self) -> None:
+        if self._file is not None:
+            self._file.close()

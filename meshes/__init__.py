@@ -1,0 +1,16 @@
+"""Bodies: simplex meshes with tags, and the way back to the order of their files.
+
+`box` generates, `read` reads; both give a `Body`. Which vertices are meant by a clause such
+as ``{ x = "max" }`` is the business of `Where`.
+"""
+
+from __future__ import annotations
+
+from mpi4py import MPI  # noqa: F401  (must precede every other MPI import)
+
+from meshes.body import Body, MeshError
+from meshes.generators import box
+from meshes.readers import read
+from meshes.where import Where
+
+__all__ = ["Body", "MeshError", "Where", "box", "read"]

@@ -1,0 +1,107 @@
+"""XDMF mesh files with HDF5 data, through DOLFINx, which needs no further package for HDF5."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+from mpi4py import MPI
+
+import numpy as np
+from dolfinx import mesh
+from dolfinx.io import XDMFFile
+
+from meshes.body import MeshError
+from meshes.raw import SIMPLEX, TAGGED, RawMesh, cell_kind, check, domain, planar
+
+_SPELLINGS = {"tetrahedron": "tetra", "polyline": "line", "polyvertex": "vertex"}
+_DOMAIN = "/Xdmf/Domain"
+
+
+def load_xdmf(path: Path) -> RawMesh:
+    """Read the first mesh of the highest dimension in the file, and its integer cell data.
+
+    Raises:
+        MeshError: The file cannot be read as XDMF, or holds no straight simplices.
+    """
+    try:
+        tree = ET.parse(path)
+    except ET.ParseError as e:
+        raise MeshError(f"cannot be read as XDMF ({e})") from e
+    grids = [
+        (_kind(topology), grid)
+        for grid in tree.findall("./Domain/Grid")
+        if (topology := grid.find("Topology")) is not None
+    ]
+    if not grids:
+        raise MeshError("cannot be read as XDMF (no <Grid> with a <Topology> in its <Domain>)")
+    if all(item.get("Format") == "XML" for item in tree.iter("DataItem")):
+        raise MeshError(
+            "keeps its numbers in the XML; write them to HDF5 (DOLFINx, meshio: default)"
+        )
+    kind, body = max(grids, key=lambda pair: TAGGED.get(pair[0], 4))
+    d = SIMPLEX[cell_kind({kind})]
+    name = body.get("Name", "")
+    try:
+        with _silent_hdf5(), XDMFFile(MPI.COMM_SELF, str(path), "r") as file:
+            cells = np.asarray(file.read_topology_data(name, _DOMAIN), dtype=np.int64)
+            points = np.asarray(file.read_geometry_data(name, _DOMAIN), dtype=np.float64)
+            raw = RawMesh(planar(points, d), cells, np.zeros(len(cells), dtype=np.int32))
+            check(raw)
+            msh = mesh.create_mesh(MPI.COMM_SELF, raw.cells, domain(d), raw.points)
+            for kind, grid in grids:
+                dim = TAGGED[kind]
+                msh.topology.create_entities(dim)
+                msh.topology.create_connectivity(dim, d)
+                for attribute in filter(_is_tag, grid.findall("Attribute")):
+                    tags = file.read_meshtags(msh, grid.get("Name", ""), attribute.get("Name"))
+                    _adopt(raw, msh, tags)
+    except RuntimeError as e:
+        # DOLFINx wheels have an HDF5 without deflate, which meshio applies by default.
+        said = " ".join(str(e).split()).rstrip(".")
+        hint = "if its HDF5 data are compressed, write them without compression"
+        raise MeshError(f"cannot be read as XDMF ({said}; {hint})") from e
+    return raw
+
+
+@contextlib.contextmanager
+def _silent_hdf5() -> Iterator[None]:
+    """HDF5 prints a stack of diagnostics to the file descriptor before the error is raised."""
+    sys.stderr.flush()
+    saved = os.dup(2)
+    try:
+        with open(os.devnull, "wb") as sink:
+            os.dup2(sink.fileno(), 2)
+        yield
+    finally:
+        os.dup2(saved, 2)
+        os.close(saved)
+
+
+def _kind(topology: ET.Element) -> str:
+    spelt = (topology.get("TopologyType") or topology.get("Type") or "unknown").lower()
+    return _SPELLINGS.get(spelt, spelt)
+
+
+def _is_tag(attribute: ET.Element) -> bool:
+    item = attribute.find("DataItem")
+    if item is None or attribute.get("Center") != "Cell":
+        return False
+    # DOLFINx states no number type for tags, and keeps functions in nested grids.
+    return item.get("NumberType", item.get("DataType", "Int")) in ("Int", "UInt")
+
+
+def _adopt(raw: RawMesh, msh: mesh.Mesh[np.float64], tags: mesh.MeshTags) -> None:
+    """Enter tags of the serial mesh into the raw mesh, in file order; the first come stay."""
+    if tags.dim == msh.topology.dim:
+        if not raw.tags.any():
+            raw.tags[msh.topology.original_cell_index[tags.indices]] = tags.values
+        return
+    for number in np.unique(tags.values[tags.values != 0]):
+        nodes = mesh.entities_to_geometry(msh, tags.dim, tags.find(number))
+        vertices = np.unique(msh.geometry.input_global_indices[nodes])
+        raw.groups.setdefault(int(number), vertices)

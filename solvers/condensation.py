@@ -1,0 +1,233 @@
+r"""Static condensation of cell-local fields, as a preconditioner that is an exact solver.
+
+The Newton system in a displacement u and cell-local fields l,
+
+    ( J_uu  J_ul ) ( δu )   ( b_u )
+    ( J_lu  J_ll ) ( δl ) = ( b_l ),
+
+has a J_ll with one dense block D a cell, so that with B the rows of J_lu of that cell
+
+    K = J_uu - Σ_K Bᵀ D⁻¹ B,   K δu = b_u - Σ_K Bᵀ D⁻¹ b_l,   δl = D⁻¹ (b_l - B δu).
+
+K has the size and the sparsity of a displacement method's matrix. For the seed's system this does
+eqs. (36) and (41) in one elimination. Everything is read off the assembled Jacobian of whatever
+energy there is: a row of a cell-local unknown couples with the dofs of its own cell alone.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+from petsc4py import PETSc
+
+from dolfinx import fem, la
+from dolfinx.fem.petsc import create_vector
+from solvers.layout import BlockLayout, Ints
+from solvers.options import FORCING_LIMITS
+
+Floats = npt.NDArray[np.float64]
+
+
+class CellBlocks:
+    """Reads J_uu, B and D of each owned cell off the assembled Jacobian, and assembles K."""
+
+    def __init__(self, layout: BlockLayout, A: PETSc.Mat) -> None:
+        """Work out where each entry goes; the sparsity of A never changes."""
+        self.cells = layout.cells
+        self.u_dofs = layout.cell_dofs(0)
+        local_fields = range(1, len(layout.offsets) - 1)
+        l_dofs = [layout.cell_dofs(f) for f in local_fields]
+        # Rows of the local unknowns of a cell among this rank's unknowns.
+        self.l_rows: Ints = np.hstack(
+            [dofs + layout.offsets[f] for f, dofs in zip(local_fields, l_dofs, strict=True)]
+        )
+        first, _ = A.getOwnershipRange()
+        nu, nl = self.u_dofs.shape[1], self.l_rows.shape[1]
+        self._shape_B, self._shape_D = (self.cells, nl, nu), (self.cells, nl, nl)
+
+        indptr, columns, _ = A.getValuesCSR()
+        columns = columns.astype(np.int64)
+        row = np.repeat(np.arange(layout.offsets[-1]), np.diff(indptr))
+        is_u = layout.fields_of(columns) == 0
+        # Cell and place in the cell of each row of a local unknown.
+        place = np.full(layout.offsets[-1], -1)
+        place[self.l_rows.ravel()] = np.arange(self.l_rows.size)
+        # B: columns matched within the cell by a key that orders by cell, then by column.
+        stride = np.int64(A.size[1])
+        self._from_B = np.flatnonzero((place[row] >= 0) & is_u)
+        self._to_B = self._match(
+            place[row[self._from_B]], columns[self._from_B], layout.numbers(0, self.u_dofs), stride
+        )
+        self._from_D = np.flatnonzero((place[row] >= 0) & ~is_u)
+        self._to_D = self._match(
+            place[row[self._from_D]], columns[self._from_D], self.l_rows + first, stride
+        )
+        # K: the entries of J_uu, then the cells' contributions, both in u's own numbering.
+        self._from_uu = np.flatnonzero((place[row] < 0) & is_u)
+        # Owned u unknowns are first among the rank's unknowns, so a row's number is its dof.
+        uu_rows = layout.own_global(0, row[self._from_uu].astype(np.int32))
+        uu_columns = layout.own_numbers(0, columns[self._from_uu])
+        dofs = layout.own_global(0, self.u_dofs)
+        cell_rows, cell_columns = np.repeat(dofs, nu, axis=1), np.tile(dofs, (1, nu))
+        self._K_rows = np.concatenate([uu_rows, cell_rows.ravel()]).astype(PETSc.IntType)
+        self._K_columns = np.concatenate([uu_columns, cell_columns.ravel()]).astype(PETSc.IntType)
+
+    def _match(self, place: Ints, columns: Ints, of_cell: Ints, stride: np.int64) -> Ints:
+        """Flat positions in an array (cells, local rows, columns of the cell)."""
+        cell, local_row = np.divmod(place, self.l_rows.shape[1])
+        keys = np.arange(self.cells)[:, None] * stride + of_cell
+        order = np.argsort(keys, axis=None)
+        found = order[np.searchsorted(keys.ravel()[order], cell * stride + columns)]
+        width = of_cell.shape[1]
+        return (cell * self.l_rows.shape[1] + local_row) * width + found % width
+
+    def preallocate(self, K: PETSc.Mat) -> None:
+        """Give K its sparsity."""
+        K.setPreallocationCOO(self._K_rows, self._K_columns)
+
+    def update(self, A: PETSc.Mat, K: PETSc.Mat) -> None:
+        """Eliminate the local unknowns from A; put the condensed matrix into K."""
+        values = A.getValuesCSR()[2]
+        self._B, self._D = np.zeros(self._shape_B), np.zeros(self._shape_D)
+        self._B.ravel()[self._to_B] = values[self._from_B]
+        self._D.ravel()[self._to_D] = values[self._from_D]
+        condensed = -np.einsum("kij,kil->kjl", self._B, np.linalg.solve(self._D, self._B))
+        K.setValuesCOO(
+            np.concatenate([values[self._from_uu], condensed.ravel()]), PETSc.InsertMode.INSERT
+        )
+
+    def eliminate(self, b: Floats) -> Floats:
+        """Return -Bᵀ D⁻¹ b_l, shape (owned cells, u dofs a cell), for this rank's unknowns b."""
+        self._D_b = np.linalg.solve(self._D, b[self.l_rows][:, :, None])
+        return -np.einsum("kij,ki->kj", self._B, self._D_b[:, :, 0])
+
+    def recover(self, b: Floats, u: Floats, x: Floats) -> None:
+        """Put δl = D⁻¹ (b_l - B δu) into this rank's unknowns x.
+
+        Args:
+            b: Right-hand side, this rank's unknowns.
+            u: δu on owned and ghost dofs.
+            x: Changed in place.
+        """
+        right = b[self.l_rows][:, :, None] - self._B @ u[self.u_dofs][:, :, None]
+        x[self.l_rows] = np.linalg.solve(self._D, right)[:, :, 0]
+
+
+class CondensedSolver:
+    """A PETSc Python preconditioner that solves the block system through K.
+
+    Attributes:
+        ksp: The solver of the condensed system, with options prefix `<problem's>condensed_`.
+        iterations: Linear iterations since the last `start`.
+    """
+
+    def __init__(self, fields: Sequence[fem.Function], prefix: str) -> None:
+        """Prepare for the fields of a problem.
+
+        Args:
+            fields: The displacement, then cell-local fields.
+            prefix: Options prefix of the problem.
+
+        Raises:
+            ValueError: A field other than the first is not local to cells.
+        """
+        for f in fields[1:]:
+            if not f.function_space.element.basix_element.discontinuous:
+                raise ValueError(
+                    f"the field {f.name} is not local to cells; condensation needs every field but "
+                    'the first to be discontinuous, or choose solver="direct"'
+                )
+        self._layout = BlockLayout(fields)
+        self._fields = fields
+        V = fields[0].function_space
+        self._g, self._z = create_vector(V), create_vector(V)
+        self.K = PETSc.Mat().create(self._layout.comm)
+        self.ksp = PETSc.KSP().create(self._layout.comm)
+        self.ksp.setOptionsPrefix(f"{prefix}condensed_")
+        self._blocks: CellBlocks | None = None
+        self.start()
+
+    def start(self) -> None:
+        """Begin a new nonlinear solve."""
+        self.iterations = 0
+        self.seconds = 0.0
+        self._last_norm = 0.0
+
+    def setUp(self, pc: PETSc.PC) -> None:  # noqa: N802  (PETSc's name)
+        """Condense the current Jacobian. Called by PETSc."""
+        start = time.perf_counter()
+        A, _ = pc.getOperators()
+        if self._blocks is None:
+            self._blocks = CellBlocks(self._layout, A)
+            V = self._fields[0].function_space
+            size = self._g.getSizes()
+            self.K.setSizes((size, size), bsize=V.dofmap.index_map_bs)
+            self.K.setType("aij")
+            self._blocks.preallocate(self.K)
+            self.K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+            self.K.setNearNullSpace(rigid_body_modes(V))
+            self.ksp.setOperators(self.K)
+            self.ksp.setFromOptions()
+        try:
+            self._blocks.update(A, self.K)
+        except np.linalg.LinAlgError:
+            # A singular local block: no condensed system, so no step.
+            pc.setFailedReason(PETSc.PC.FailedReason.FACTOR_NUMERIC_ZEROPIVOT)
+        self.seconds += time.perf_counter() - start
+
+    def apply(self, pc: PETSc.PC, b: PETSc.Vec, x: PETSc.Vec) -> None:
+        """Solve with the block system. Called by PETSc."""
+        assert self._blocks is not None
+        self._set_tolerance(b.norm())
+        owned = self._g.getLocalSize()
+        right = b.array_r
+        with self._g.localForm() as g:
+            local = np.bincount(
+                self._blocks.u_dofs.ravel(), self._blocks.eliminate(right).ravel(), g.getSize()
+            )
+            local[:owned] += right[:owned]
+            g.array_w[:] = local
+        self._g.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
+        self.ksp.solve(self._g, self._z)
+        self.iterations += self.ksp.getIterationNumber()
+        if self.ksp.getConvergedReason() <= 0:
+            pc.setFailedReason(PETSc.PC.FailedReason.SUBPC_ERROR)
+        self._z.ghostUpdate(PETSc.InsertMode.INSERT, PETSc.ScatterMode.FORWARD)
+        solution = x.array_w
+        with self._z.localForm() as z:
+            solution[:owned] = z.array_r[:owned]
+            self._blocks.recover(right, z.array_r, solution)
+
+    def _set_tolerance(self, norm: float) -> None:
+        """Solve as exactly as this Newton step can use (Eisenstat and Walker, 1996, choice 2)."""
+        loose, tight = FORCING_LIMITS
+        ratio = norm / self._last_norm if self._last_norm > 0.0 else 1.0
+        self.ksp.setTolerances(rtol=float(np.clip(ratio ** ((1 + 5**0.5) / 2), tight, loose)))
+        self._last_norm = norm
+
+
+def rigid_body_modes(V: fem.FunctionSpace) -> PETSc.NullSpace:
+    """Return the translations and linearised rotations of a vector space V as a near-nullspace.
+
+    Args:
+        V: Continuous vector-valued space of shape (d,), d = 2 or 3.
+    """
+    d = V.dofmap.index_map_bs
+    X = V.tabulate_dof_coordinates()
+    planes = [(0, 1)] if d == 2 else [(0, 1), (1, 2), (2, 0)]
+    basis = [la.vector(V.dofmap.index_map, bs=d) for _ in range(d + len(planes))]
+    modes = [vector.array.reshape(-1, d) for vector in basis]
+    for i in range(d):
+        modes[i][:, i] = 1.0
+    for mode, (i, j) in zip(modes[d:], planes, strict=True):
+        mode[:, i], mode[:, j] = -X[:, j], X[:, i]
+    la.orthonormalize(basis)
+    owned = V.dofmap.index_map.size_local * d
+    comm = V.mesh.comm
+    return PETSc.NullSpace().create(
+        vectors=[PETSc.Vec().createWithArray(v.array[:owned].copy(), comm=comm) for v in basis],
+        comm=comm,
+    )

@@ -1,0 +1,147 @@
+"""Static condensation is exact: against the whole block system, and a dense Schur complement."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+import ufl
+from dolfinx import fem
+
+from forms import (
+    FORMULATIONS,
+    MATERIALS,
+    BackwardEuler,
+    deformation_gradient,
+    displacement_field,
+)
+from solvers import MixedProblem
+from tests.states import (
+    by_field,
+    dense,
+    global_norm,
+    random_directions,
+    random_values,
+    small_mesh,
+)
+
+MIXED = [name for name in FORMULATIONS if name != "displacement"]
+E, NU, RHO, H = 10.0, 0.3, 2.0, 0.4
+
+
+def build(d, formulation, material, solver="condensed", options=None):
+    """A clamped body at rest."""
+    msh = small_mesh(d)
+    form = FORMULATIONS[formulation]
+    fields = form.fields(msh)
+    u = fields[0]
+    energy = form.density(*fields, MATERIALS[material](E, NU)) * ufl.dx
+    energy += BackwardEuler(u, H, (0.0, -9.81, 1.0)[:d]).kinetic(RHO) * ufl.dx
+    clamped = fem.locate_dofs_geometrical(u.function_space, lambda X: X[0] < 0.2)
+    bcs = [fem.dirichletbc(np.zeros(d), clamped, u.function_space)]
+    return MixedProblem(energy, fields, bcs, solver=solver, options=options)
+
+
+def newton_step(problem):
+    """Fields after one Newton step from a state far from rest, owned values by field."""
+    u, directions = problem.fields[0], random_directions(problem.fields, stress=E)
+    clamped = u.function_space.tabulate_dof_coordinates()[:, 0] < 0.2
+    directions[0].reshape(-1, len(u))[clamped] = 0.0
+    for f, change in zip(problem.fields, directions, strict=True):
+        f.x.array[:] += 0.5 * change
+    problem.problem.solver.setTolerances(max_it=1)
+    problem.problem.solver.setForceIteration(True)
+    start = [f.x.array.copy() for f in problem.fields]
+    # PETSc calls a single step a failure to converge; the step is in the solution vector.
+    with pytest.raises(RuntimeError, match="DIVERGED_MAX_IT"):
+        problem.solve()
+    for f, values in zip(problem.fields, start, strict=True):
+        np.testing.assert_array_equal(f.x.array, values)
+    return by_field(problem, problem.problem.x)
+
+
+@pytest.mark.parametrize("d", [2, 3])
+@pytest.mark.parametrize("material", MATERIALS)
+@pytest.mark.parametrize("formulation", MIXED)
+def test_same_newton_step_as_the_whole_system(d, material, formulation):
+    steps = [newton_step(build(d, formulation, material, s)) for s in ("direct", "condensed")]
+    for whole, condensed in zip(*steps, strict=True):
+        difference = global_norm(MPI.COMM_WORLD, whole - condensed)
+        assert difference < 1e-9 * global_norm(MPI.COMM_WORLD, whole)
+
+
+@pytest.mark.parametrize("d", [2, 3])
+@pytest.mark.parametrize("formulation", MIXED)
+def test_condensed_matrix_is_the_schur_complement(d, formulation):
+    """K = J_uu - J_ul J_ll⁻¹ J_lu, the inverse taken of the whole dense matrix J_ll."""
+    problem = build(d, formulation, "stable-neo-hookean")
+    newton_step(problem)
+    A, K = dense(problem.problem.A), dense(problem.condensed.K)
+    comm = MPI.COMM_WORLD
+    # Unknowns of u among all: each rank has its own first.
+    sizes = [len(part) for part in by_field(problem, problem.problem.x)]
+    is_u = np.concatenate(comm.allgather(np.repeat([True, False], [sizes[0], sum(sizes[1:])])))
+    J_uu, J_ul = A[np.ix_(is_u, is_u)], A[np.ix_(is_u, ~is_u)]
+    J_lu, J_ll = A[np.ix_(~is_u, is_u)], A[np.ix_(~is_u, ~is_u)]
+    schur = J_uu - J_ul @ np.linalg.solve(J_ll, J_lu)
+    assert np.linalg.norm(K - schur) < 1e-12 * np.linalg.norm(schur)
+    assert np.linalg.norm(K - K.T) < 1e-12 * np.linalg.norm(K)
+
+
+def test_conjugate_gradients_take_the_same_solution():
+    """CG with GAMG in place of the factorisation: the same state in as many Newton steps."""
+    cg = {"condensed_ksp_type": "cg", "condensed_pc_type": "gamg"}
+    states, iterations = [], []
+    for options in ({}, cg):
+        problem = build(3, "symmetric", "stable-neo-hookean", options=options)
+        result = problem.solve()
+        states.append(problem.fields[0].x.array.copy())
+        iterations.append(result.iterations)
+        assert (result.krylov_iterations > result.iterations) == bool(options)
+    assert global_norm(MPI.COMM_WORLD, states[0] - states[1]) < 1e-9
+    assert 3 <= iterations[1] <= iterations[0] + 1
+
+
+def test_an_energy_of_ones_own():
+    """Pressure and volume ratio as cell-local fields (Simo, Taylor, Pister 1985), unknown here."""
+    states = []
+    for solver in ("direct", "condensed"):
+        msh = small_mesh(3)
+        u = displacement_field(msh)
+        dg0 = fem.functionspace(msh, ("DG", 0))
+        p, theta = fem.Function(dg0, name="p"), fem.Function(dg0, name="theta")
+        theta.x.array[:] = 1.0
+        F = deformation_gradient(u)
+        J = ufl.det(F)
+        density = (
+            E / 2 * (J ** (-2 / 3) * ufl.inner(F, F) - 3)
+            + 500 * E * (theta - 1) ** 2
+            + p * (J - theta)
+        )
+        V = u.function_space
+        clamped = fem.locate_dofs_geometrical(V, lambda X: X[0] < 0.2)
+        load = ufl.inner(u, ufl.as_vector((0.0, -0.3, 0.2))) * ufl.dx
+        problem = MixedProblem(
+            density * ufl.dx - load,
+            (u, p, theta),
+            [fem.dirichletbc(np.zeros(3), clamped, V)],
+            solver=solver,
+        )
+        problem.solve()
+        states.append([f.x.array.copy() for f in (u, p, theta)])
+    for whole, condensed in zip(*states, strict=True):
+        assert global_norm(MPI.COMM_WORLD, whole - condensed) < 1e-9 * (
+            1.0 + global_norm(MPI.COMM_WORLD, whole)
+        )
+    assert global_norm(MPI.COMM_WORLD, states[0][0]) > 1e-3
+
+
+def test_a_field_that_is_not_local_is_refused():
+    msh = small_mesh(2)
+    u = displacement_field(msh)
+    p = fem.Function(fem.functionspace(msh, ("P", 1)), name="p")
+    u.x.array[:] = 0.1 * random_values(u, 1)
+    energy = (ufl.inner(ufl.grad(u), ufl.grad(u)) + ufl.inner(u, u) + p**2 + p * u[0]) * ufl.dx
+    with pytest.raises(ValueError, match="the field p is not local to cells"):
+        MixedProblem(energy, (u, p), solver="condensed")
