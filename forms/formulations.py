@@ -10,10 +10,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import ufl
+from dolfinx import fem, mesh
 from ufl.algorithms import expand_derivatives
 from ufl.core.expr import Expr
 
-from dolfinx import fem, mesh
 from forms.fields import displacement_field, mixed_fields
 from forms.kinematics import deformation_gradient
 from forms.materials import StrainEnergy

@@ -13,9 +13,8 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import ufl
-from ufl.core.expr import Expr
-
 from dolfinx import fem
+from ufl.core.expr import Expr
 
 StrainEnergy = Callable[[Expr], Expr]
 

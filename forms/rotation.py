@@ -31,9 +31,9 @@ import weakref
 import numpy as np
 import numpy.typing as npt
 import ufl
+from dolfinx import fem
 from ufl.core.expr import Expr
 
-from dolfinx import fem
 from forms.cell_data import CellData
 from forms.kinematics import deformation_gradient
 
@@ -53,8 +53,8 @@ class _PolarData(CellData):
         self.refresh()
 
     def refresh(self) -> None:
-        F = self._F.eval(self.function_space.mesh, self._cells).reshape(-1, 3, 3)
-        R, S, G = polar_factors(F)
+        F = np.asarray(self._F.eval(self.function_space.mesh, self._cells), dtype=np.float64)
+        R, S, G = polar_factors(F.reshape(-1, 3, 3))
         values = self.x.array.reshape(-1, 21)
         values[:, :9] = R.reshape(-1, 9)
         values[:, 9:15] = S[:, *_LOWER]
@@ -82,7 +82,8 @@ def polar_factors(
         F: Deformation gradients, shape (n, 3, 3).
 
     Returns:
-        Three arrays of shape (n, 3, 3). G is not finite where σ₂ + σ₃ = 0: no derivative of R there.
+        Three arrays of shape (n, 3, 3). G is not finite where σ₂ + σ₃ = 0 and
+        R has no derivative.
 
     Raises:
         numpy.linalg.LinAlgError: An F that is not finite.

@@ -6,9 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 import ufl
-from ufl.core.expr import Expr
-
 from dolfinx import fem
+from ufl.core.expr import Expr
 
 
 class BackwardEuler:
@@ -26,7 +25,9 @@ class BackwardEuler:
         t: Time at the start of the step [s].
     """
 
-    def __init__(self, u: fem.Function, h: float, acceleration: Sequence[float] | None = None) -> None:
+    def __init__(
+        self, u: fem.Function, h: float, acceleration: Sequence[float] | None = None
+    ) -> None:
         """Start from the current displacement, at rest.
 
         Args:

@@ -19,12 +19,13 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 
-import numpy as np
-import numpy.typing as npt
 from petsc4py import PETSc
 
+import numpy as np
+import numpy.typing as npt
 from dolfinx import fem, la
 from dolfinx.fem.petsc import create_vector
+
 from solvers.layout import BlockLayout, Ints
 from solvers.options import FORCING_LIMITS
 
@@ -156,7 +157,7 @@ class CondensedSolver:
         self.seconds = 0.0
         self._last_norm = 0.0
 
-    def setUp(self, pc: PETSc.PC) -> None:  # noqa: N802  (PETSc's name)
+    def setUp(self, pc: PETSc.PC) -> None:
         """Condense the current Jacobian. Called by PETSc."""
         start = time.perf_counter()
         A, _ = pc.getOperators()

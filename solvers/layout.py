@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-import numpy.typing as npt
 from mpi4py import MPI
 
+import numpy as np
+import numpy.typing as npt
 from dolfinx import fem
 
 Ints = npt.NDArray[np.int64]

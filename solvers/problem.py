@@ -9,15 +9,16 @@ import weakref
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from mpi4py import MPI
+from petsc4py import PETSc
+
 import numpy as np
 import numpy.typing as npt
 import ufl
-from mpi4py import MPI
-from petsc4py import PETSc
-from ufl.algorithms import expand_derivatives
-
 from dolfinx import fem
 from dolfinx.fem.petsc import NonlinearProblem, assign
+from ufl.algorithms import expand_derivatives
+
 from forms import CellData
 from solvers import options as defaults
 from solvers.condensation import CondensedSolver, rigid_body_modes
@@ -86,7 +87,7 @@ class MixedProblem:
         tests = [ufl.TestFunction(f.function_space) for f in fields]
         trials = [ufl.TrialFunction(f.function_space) for f in fields]
         residual = [ufl.derivative(energy, f, v) for f, v in zip(fields, tests, strict=True)]
-        jacobian = [
+        jacobian: Any = [  # DOLFINx takes None for a block that vanishes; its type does not say so
             [_or_none(ufl.derivative(r, f, du)) for f, du in zip(fields, trials, strict=True)]
             for r in residual
         ]

@@ -29,7 +29,10 @@ def random_values(f: fem.Function, seed: int) -> np.ndarray:
     msh = V.mesh
     bs = V.dofmap.bs
     if V.element.basix_element.degree == 0:
-        index_map, numbers = msh.topology.index_map(msh.topology.dim), msh.topology.original_cell_index
+        index_map, numbers = (
+            msh.topology.index_map(msh.topology.dim),
+            msh.topology.original_cell_index,
+        )
         dofs = V.dofmap.list[:, 0]
     else:
         index_map, numbers = msh.geometry.index_map(), msh.geometry.input_global_indices

@@ -10,10 +10,18 @@ import pytest
 import ufl
 from dolfinx import fem
 from dolfinx.fem.petsc import assemble_matrix, assemble_vector, create_vector
-from tests.states import by_field, dense, field_vector, global_norm, random_directions, random_values, small_mesh
 
 from forms import FORMULATIONS, MATERIALS, BackwardEuler, right_stretch, seed_singular
 from solvers import MixedProblem
+from tests.states import (
+    by_field,
+    dense,
+    field_vector,
+    global_norm,
+    random_directions,
+    random_values,
+    small_mesh,
+)
 
 E, NU, RHO, H = 10.0, 0.3, 2.0, 0.4
 
@@ -106,7 +114,9 @@ def test_rank_of_the_seeds_matrix(d):
         u, S, Lam = problem.fields
         u.x.array[:] = 0.06 * random_values(u, 3)
         problem.refresh()
-        S.interpolate(fem.Expression(right_stretch(u), S.function_space.element.interpolation_points))
+        S.interpolate(
+            fem.Expression(right_stretch(u), S.function_space.element.interpolation_points)
+        )
         # A feasible multiplier: a first Piola-Kirchhoff stress R Y with Y symmetric.
         psi = MATERIALS[material](E, NU)
         Lam.interpolate(

@@ -13,9 +13,9 @@ from dolfinx import fem, mesh
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from tests.states import small_mesh
 
 from forms import displacement_field, polar_rotation, right_stretch
+from tests.states import small_mesh
 
 entries = st.floats(-2.0, 2.0, allow_subnormal=False)
 
