@@ -69,8 +69,8 @@ CONDENSED_CG: Options = {
 DIRECT_UP_TO = 30_000
 """Displacement degrees of freedom up to which a condensed system is factorised."""
 
-FORCING_LIMITS = (1e-2, 1e-8)
-"""Loosest and tightest relative tolerance of an iterative solve inside Newton's method."""
+FORCING_LIMITS = (1e-4, 1e-8)
+"""Loosest and tightest relative tolerance of an iterative solve inside a Newton step."""
 
 SOLVERS: Mapping[str, str] = {
     "direct": "LU of the whole block system by MUMPS",
