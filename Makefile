@@ -8,7 +8,7 @@ MAKEFLAGS += --no-print-directory
 BIN := .venv/bin
 RANKS ?= 2
 # Seconds after which a run of the test-suite is stopped.
-TEST_TIMEOUT ?= 600
+TEST_TIMEOUT ?= 900
 DEMO_TIMEOUT ?= 600
 # Further arguments for pytest, e.g. make test ARGS="-k rotation".
 ARGS ?=

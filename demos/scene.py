@@ -19,6 +19,10 @@ from solvers import SOLVERS
 BUILT_IN = Path(__file__).parent / "scenes"
 
 SCHEMES = {"backward-euler": BackwardEuler}
+KERNELS = {
+    "compiled": "the package's own numba kernels where it has some; elsewhere as ufl",
+    "ufl": "what UFL and FFCx make of the energy, for any energy; the slow one",
+}
 MOTIONS = {"fixed": "held where they are"}
 # Planned names: refused as not there yet, so that none is mistaken for a misspelling.
 MOTIONS_TO_COME = ("stretch", "twist", "bend", "translate")
@@ -74,6 +78,7 @@ class Scene:
         scheme: Time stepping scheme.
         formulation: Which Lagrangian.
         solver: Which solver of the Newton system.
+        kernels: What evaluates the Newton system, a name in `KERNELS`.
         baseline: A formulation to run after, for comparison.
     """
 
@@ -90,6 +95,7 @@ class Scene:
     scheme: str
     formulation: str
     solver: str
+    kernels: str
     baseline: str | None
 
 
@@ -179,6 +185,7 @@ def parse(
     solve.override("solver", overrides.solver, "--solver")
     formulation = solve.choice("formulation", FORMULATIONS, "symmetric")
     solver = solve.choice("solver", SOLVERS, "condensed", later=SOLVERS_TO_COME)
+    kernels = solve.choice("kernels", KERNELS, "compiled")
     baseline = solve.choice("baseline", FORMULATIONS, "") or None
     solve.close()
     root.close()
@@ -196,6 +203,7 @@ def parse(
         scheme=scheme,
         formulation=formulation,
         solver=solver,
+        kernels=kernels,
         baseline=baseline,
     )
 

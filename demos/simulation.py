@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -16,9 +17,11 @@ from ufl.core.expr import Expr
 
 from demos.scene import SCHEMES, Scene
 from demos.tables import SceneError
-from forms import FORMULATIONS, MATERIALS
+from forms import FORMULATIONS, MATERIALS, Formulation
 from meshes import Body, MeshError, box, read
-from solvers import MixedProblem, SolveResult, march
+from solvers import CellKernel, MixedProblem, SolveResult, march
+
+logger = logging.getLogger("mixed_fem")
 
 
 @dataclass(frozen=True)
@@ -68,6 +71,7 @@ class Simulation:
         fields: The unknowns, the displacement [m] first.
         problem: The Newton system.
         scheme: The time scheme; knows time and velocity.
+        kernels: What evaluates the Newton system, "compiled" or "ufl".
     """
 
     def __init__(self, scene: Scene, body: Body, formulation: str) -> None:
@@ -87,8 +91,16 @@ class Simulation:
         u = self.fields[0]
         self.scheme = SCHEMES[scene.scheme](u, scene.h, scene.gravity)
         psi, rho = _material(scene, body)
-        energy = (self.scheme.kinetic(rho) + form.density(*self.fields, psi)) * ufl.dx
-        self.problem = MixedProblem(energy, self.fields, _bcs(scene, body, u), solver=scene.solver)
+        energy = self.scheme.kinetic(rho) * ufl.dx
+        kernel = None
+        if scene.kernels == "compiled" and scene.solver == "condensed":
+            kernel = _kernel(form, self.fields, scene, body)
+        if kernel is None:
+            energy = form.density(*self.fields, psi) * ufl.dx + energy
+        self.kernels = "ufl" if kernel is None else "compiled"
+        self.problem = MixedProblem(
+            energy, self.fields, _bcs(scene, body, u), solver=scene.solver, kernel=kernel
+        )
         self._energies = [
             fem.form(density * ufl.dx)
             for density in (
@@ -131,20 +143,45 @@ class Simulation:
         return np.asarray(expression.eval(self.body.mesh, cells)).reshape(-1, d, d)
 
 
+def _parameters(scene: Scene, body: Body) -> npt.NDArray[np.float64]:
+    """μ, λ [Pa] and ρ [kg/m³] of each local cell, ghosts included, shape (3, cells)."""
+    kind = MATERIALS[scene.psi]
+    values = np.empty((3, len(body.cell_tags.values)))
+    for given in scene.materials:
+        material = kind(given.E, given.nu)
+        cells = slice(None) if given.tag is None else body.cell_tags.find(given.tag)
+        values[:, cells] = [[material.mu], [material.lam], [given.rho]]
+    return values
+
+
 def _material(scene: Scene, body: Body) -> tuple[Callable[[Expr], Expr], float | Expr]:
     """Strain energy and density; several materials become piecewise constant parameters."""
-    kind = MATERIALS[scene.psi]
-    materials = [kind(m.E, m.nu) for m in scene.materials]
-    if len(materials) == 1:
-        return materials[0], scene.materials[0].rho
+    first = scene.materials[0]
+    material = MATERIALS[scene.psi](first.E, first.nu)
+    if len(scene.materials) == 1:
+        return material, first.rho
     space = fem.functionspace(body.mesh, ("DG", 0))
-    mu, lam, rho = fem.Function(space), fem.Function(space), fem.Function(space)
-    for given, material in zip(scene.materials, materials, strict=True):
-        dofs = space.dofmap.list[body.cell_tags.find(given.tag)].ravel()
-        mu.x.array[dofs] = material.mu
-        lam.x.array[dofs] = material.lam
-        rho.x.array[dofs] = given.rho
-    return (lambda S: materials[0].strain_energy(S, mu, lam)), rho
+    mu, lam, rho = (fem.Function(space) for _ in range(3))
+    for f, values in zip((mu, lam, rho), _parameters(scene, body), strict=True):
+        f.x.array[space.dofmap.list.ravel()] = values
+    return (lambda S: material.strain_energy(S, mu, lam)), rho
+
+
+def _kernel(
+    form: Formulation, fields: tuple[fem.Function[Any], ...], scene: Scene, body: Body
+) -> CellKernel | None:
+    """The compiled kernel of a formulation; None, and a warning, where there is none."""
+    if form.kernel is None:
+        return None
+    owned = body.mesh.topology.index_map(body.mesh.topology.dim).size_local
+    mu, lam, _ = _parameters(scene, body)[:, :owned]
+    try:
+        return form.kernel(*fields, (scene.psi, mu, lam))
+    except ModuleNotFoundError as error:
+        if error.name != "numba":
+            raise
+        logger.warning("numba is not installed: the Newton system by UFL alone, the slow way")
+        return None
 
 
 def _bcs(scene: Scene, body: Body, u: fem.Function[Any]) -> list[fem.DirichletBC[Any]]:

@@ -15,6 +15,7 @@ from ufl.algorithms import expand_derivatives
 from ufl.core.expr import Expr
 
 from forms.fields import displacement_field, mixed_fields
+from forms.kernels import DisplacementKernel, SymmetricKernel
 from forms.kinematics import deformation_gradient
 from forms.materials import StrainEnergy
 from forms.rotation import polar_rotation, right_stretch
@@ -85,6 +86,8 @@ class Formulation:
         stretch: Function from the fields to the right stretch S, shape (d, d).
         multiplier: Function from (*fields, psi) to the first Piola-Kirchhoff stress Λ [Pa],
             shape (d, d).
+        kernel: Function from (*fields, psi) to a compiled kernel of the density with `psi` a
+            built-in material, or None where there is no such kernel.
     """
 
     name: str
@@ -93,6 +96,7 @@ class Formulation:
     density: Callable[..., Expr]
     stretch: Callable[..., Expr]
     multiplier: Callable[..., Expr]
+    kernel: Callable[..., SymmetricKernel | DisplacementKernel] | None = None
 
 
 def _displacement_multiplier(u: fem.Function, psi: StrainEnergy) -> Expr:
@@ -110,6 +114,7 @@ FORMULATIONS: dict[str, Formulation] = {
             density=symmetric,
             stretch=lambda u, S, Y: S,
             multiplier=lambda u, S, Y, psi: polar_rotation(u) * Y,
+            kernel=SymmetricKernel,
         ),
         Formulation(
             "seed",
@@ -126,6 +131,7 @@ FORMULATIONS: dict[str, Formulation] = {
             density=displacement,
             stretch=right_stretch,
             multiplier=_displacement_multiplier,
+            kernel=DisplacementKernel,
         ),
     )
 }

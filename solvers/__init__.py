@@ -2,6 +2,7 @@
 
 from mpi4py import MPI  # noqa: F401  (with the PyPI wheel MPI must be imported before DOLFINx)
 
+from solvers.compiled import CellKernel
 from solvers.options import SOLVERS
 from solvers.problem import MixedProblem
 from solvers.result import ConvergenceError, SolveResult
@@ -9,6 +10,7 @@ from solvers.stepping import TimeScheme, march
 
 __all__ = [
     "SOLVERS",
+    "CellKernel",
     "ConvergenceError",
     "MixedProblem",
     "SolveResult",

@@ -17,7 +17,8 @@ energy there is: a row of a cell-local unknown couples with the dofs of its own 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Protocol
 
 from petsc4py import PETSc
 
@@ -32,22 +33,48 @@ from solvers.options import FORCING_LIMITS
 Floats = npt.NDArray[np.float64]
 
 
+class CondensedBlocks(Protocol):
+    """Elimination of the cell-local unknowns of a Newton system.
+
+    Attributes:
+        K: The condensed matrix.
+    """
+
+    K: PETSc.Mat
+
+    def update(self, A: PETSc.Mat) -> None:
+        """Condense the current Jacobian into K."""
+
+    def eliminate(self, b: Floats) -> Floats:
+        """Return -Bᵀ D⁻¹ b_l on local displacement dofs, for this rank's unknowns b."""
+
+    def recover(self, b: Floats, u: Floats, x: Floats) -> None:
+        """Put δl = D⁻¹ (b_l - B δu) into this rank's unknowns x; u on local dofs."""
+
+
 class CellBlocks:
     """Reads J_uu, B and D of each owned cell off the assembled Jacobian, and assembles K."""
 
-    def __init__(self, layout: BlockLayout, A: PETSc.Mat) -> None:
-        """Work out where each entry goes; the sparsity of A never changes."""
-        self.cells = layout.cells
-        self.u_dofs = layout.cell_dofs(0)
+    def __init__(self, layout: BlockLayout, A: PETSc.Mat, block_size: int) -> None:
+        """Work out where each entry goes; the sparsity of A never changes.
+
+        Args:
+            layout: Numbering of the unknowns.
+            A: The Jacobian, assembled once.
+            block_size: Components of the displacement.
+        """
+        self._cells = layout.cells
+        self._u_dofs = layout.cell_dofs(0)
+        self._local_u_dofs = layout.local_dofs(0)
         local_fields = range(1, len(layout.offsets) - 1)
         l_dofs = [layout.cell_dofs(f) for f in local_fields]
         # Rows of the local unknowns of a cell among this rank's unknowns.
-        self.l_rows: Ints = np.hstack(
+        self._l_rows: Ints = np.hstack(
             [dofs + layout.offsets[f] for f, dofs in zip(local_fields, l_dofs, strict=True)]
         )
         first, _ = A.getOwnershipRange()
-        nu, nl = self.u_dofs.shape[1], self.l_rows.shape[1]
-        self._shape_B, self._shape_D = (self.cells, nl, nu), (self.cells, nl, nl)
+        nu, nl = self._u_dofs.shape[1], self._l_rows.shape[1]
+        self._shape_B, self._shape_D = (self._cells, nl, nu), (self._cells, nl, nl)
 
         indptr, columns, _ = A.getValuesCSR()
         columns = columns.astype(np.int64)
@@ -55,66 +82,64 @@ class CellBlocks:
         is_u = layout.fields_of(columns) == 0
         # Cell and place in the cell of each row of a local unknown.
         place = np.full(layout.offsets[-1], -1)
-        place[self.l_rows.ravel()] = np.arange(self.l_rows.size)
+        place[self._l_rows.ravel()] = np.arange(self._l_rows.size)
         # B: columns matched within the cell by a key that orders by cell, then by column.
         stride = np.int64(A.size[1])
         self._from_B = np.flatnonzero((place[row] >= 0) & is_u)
         self._to_B = self._match(
-            place[row[self._from_B]], columns[self._from_B], layout.numbers(0, self.u_dofs), stride
+            place[row[self._from_B]], columns[self._from_B], layout.numbers(0, self._u_dofs), stride
         )
         self._from_D = np.flatnonzero((place[row] >= 0) & ~is_u)
         self._to_D = self._match(
-            place[row[self._from_D]], columns[self._from_D], self.l_rows + first, stride
+            place[row[self._from_D]], columns[self._from_D], self._l_rows + first, stride
         )
         # K: the entries of J_uu, then the cells' contributions, both in u's own numbering.
         self._from_uu = np.flatnonzero((place[row] < 0) & is_u)
         # Owned u unknowns are first among the rank's unknowns, so a row's number is its dof.
         uu_rows = layout.own_global(0, row[self._from_uu].astype(np.int32))
         uu_columns = layout.own_numbers(0, columns[self._from_uu])
-        dofs = layout.own_global(0, self.u_dofs)
+        dofs = layout.own_global(0, self._u_dofs)
         cell_rows, cell_columns = np.repeat(dofs, nu, axis=1), np.tile(dofs, (1, nu))
-        self._K_rows = np.concatenate([uu_rows, cell_rows.ravel()]).astype(PETSc.IntType)
-        self._K_columns = np.concatenate([uu_columns, cell_columns.ravel()]).astype(PETSc.IntType)
+        rows = np.concatenate([uu_rows, cell_rows.ravel()])
+        columns = np.concatenate([uu_columns, cell_columns.ravel()])
+
+        self.K = PETSc.Mat().create(layout.comm)
+        self.K.setSizes(((layout.offsets[1], None),) * 2, bsize=block_size)
+        self.K.setType("aij")
+        self.K.setPreallocationCOO(
+            rows.astype(PETSc.IntType, copy=False), columns.astype(PETSc.IntType, copy=False)
+        )
 
     def _match(self, place: Ints, columns: Ints, of_cell: Ints, stride: np.int64) -> Ints:
         """Flat positions in an array (cells, local rows, columns of the cell)."""
-        cell, local_row = np.divmod(place, self.l_rows.shape[1])
-        keys = np.arange(self.cells)[:, None] * stride + of_cell
+        cell, local_row = np.divmod(place, self._l_rows.shape[1])
+        keys = np.arange(self._cells)[:, None] * stride + of_cell
         order = np.argsort(keys, axis=None)
         found = order[np.searchsorted(keys.ravel()[order], cell * stride + columns)]
         width = of_cell.shape[1]
-        return (cell * self.l_rows.shape[1] + local_row) * width + found % width
+        return (cell * self._l_rows.shape[1] + local_row) * width + found % width
 
-    def preallocate(self, K: PETSc.Mat) -> None:
-        """Give K its sparsity."""
-        K.setPreallocationCOO(self._K_rows, self._K_columns)
-
-    def update(self, A: PETSc.Mat, K: PETSc.Mat) -> None:
-        """Eliminate the local unknowns from A; put the condensed matrix into K."""
+    def update(self, A: PETSc.Mat) -> None:
+        """Eliminate the local unknowns from the assembled Jacobian A, into K."""
         values = A.getValuesCSR()[2]
         self._B, self._D = np.zeros(self._shape_B), np.zeros(self._shape_D)
         self._B.ravel()[self._to_B] = values[self._from_B]
         self._D.ravel()[self._to_D] = values[self._from_D]
         condensed = -np.einsum("kij,kil->kjl", self._B, np.linalg.solve(self._D, self._B))
-        K.setValuesCOO(
+        self.K.setValuesCOO(
             np.concatenate([values[self._from_uu], condensed.ravel()]), PETSc.InsertMode.INSERT
         )
 
     def eliminate(self, b: Floats) -> Floats:
-        """Return -Bᵀ D⁻¹ b_l, shape (owned cells, u dofs a cell), for this rank's unknowns b."""
-        self._D_b = np.linalg.solve(self._D, b[self.l_rows][:, :, None])
-        return -np.einsum("kij,ki->kj", self._B, self._D_b[:, :, 0])
+        """Return -Bᵀ D⁻¹ b_l on local displacement dofs, for this rank's unknowns b."""
+        D_b = np.linalg.solve(self._D, b[self._l_rows][:, :, None])[:, :, 0]
+        parts = np.einsum("kij,ki->kj", self._B, D_b)
+        return -np.bincount(self._u_dofs.ravel(), parts.ravel(), self._local_u_dofs)
 
     def recover(self, b: Floats, u: Floats, x: Floats) -> None:
-        """Put δl = D⁻¹ (b_l - B δu) into this rank's unknowns x.
-
-        Args:
-            b: Right-hand side, this rank's unknowns.
-            u: δu on owned and ghost dofs.
-            x: Changed in place.
-        """
-        right = b[self.l_rows][:, :, None] - self._B @ u[self.u_dofs][:, :, None]
-        x[self.l_rows] = np.linalg.solve(self._D, right)[:, :, 0]
+        """Put δl = D⁻¹ (b_l - B δu) into this rank's unknowns x; u on local dofs."""
+        right = b[self._l_rows][:, :, None] - self._B @ u[self._u_dofs][:, :, None]
+        x[self._l_rows] = np.linalg.solve(self._D, right)[:, :, 0]
 
 
 class CondensedSolver:
@@ -125,12 +150,18 @@ class CondensedSolver:
         iterations: Linear iterations since the last `start`.
     """
 
-    def __init__(self, fields: Sequence[fem.Function], prefix: str) -> None:
+    def __init__(
+        self,
+        fields: Sequence[fem.Function],
+        prefix: str,
+        make_blocks: Callable[[PETSc.Mat], CondensedBlocks],
+    ) -> None:
         """Prepare for the fields of a problem.
 
         Args:
             fields: The displacement, then cell-local fields.
             prefix: Options prefix of the problem.
+            make_blocks: Makes the elimination, given the assembled Jacobian.
 
         Raises:
             ValueError: A field other than the first is not local to cells.
@@ -141,15 +172,19 @@ class CondensedSolver:
                     f"the field {f.name} is not local to cells; condensation needs every field but "
                     'the first to be discontinuous, or choose solver="direct"'
                 )
-        self._layout = BlockLayout(fields)
-        self._fields = fields
-        V = fields[0].function_space
-        self._g, self._z = create_vector(V), create_vector(V)
-        self.K = PETSc.Mat().create(self._layout.comm)
-        self.ksp = PETSc.KSP().create(self._layout.comm)
+        self._V = fields[0].function_space
+        self._make_blocks = make_blocks
+        self._blocks: CondensedBlocks | None = None
+        self._g, self._z = create_vector(self._V), create_vector(self._V)
+        self.ksp = PETSc.KSP().create(self._V.mesh.comm)
         self.ksp.setOptionsPrefix(f"{prefix}condensed_")
-        self._blocks: CellBlocks | None = None
         self.start()
+
+    @property
+    def K(self) -> PETSc.Mat:
+        """The condensed matrix, in the problem's scaled unknowns; after the first iteration."""
+        assert self._blocks is not None
+        return self._blocks.K
 
     def start(self) -> None:
         """Begin a new nonlinear solve."""
@@ -162,18 +197,13 @@ class CondensedSolver:
         start = time.perf_counter()
         A, _ = pc.getOperators()
         if self._blocks is None:
-            self._blocks = CellBlocks(self._layout, A)
-            V = self._fields[0].function_space
-            size = self._g.getSizes()
-            self.K.setSizes((size, size), bsize=V.dofmap.index_map_bs)
-            self.K.setType("aij")
-            self._blocks.preallocate(self.K)
+            self._blocks = self._make_blocks(A)
             self.K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-            self.K.setNearNullSpace(rigid_body_modes(V))
+            self.K.setNearNullSpace(rigid_body_modes(self._V))
             self.ksp.setOperators(self.K)
             self.ksp.setFromOptions()
         try:
-            self._blocks.update(A, self.K)
+            self._blocks.update(A)
         except np.linalg.LinAlgError:
             # A singular local block: no condensed system, so no step.
             pc.setFailedReason(PETSc.PC.FailedReason.FACTOR_NUMERIC_ZEROPIVOT)
@@ -186,11 +216,9 @@ class CondensedSolver:
         owned = self._g.getLocalSize()
         right = b.array_r
         with self._g.localForm() as g:
-            local = np.bincount(
-                self._blocks.u_dofs.ravel(), self._blocks.eliminate(right).ravel(), g.getSize()
-            )
+            local = g.array_w
+            local[:] = self._blocks.eliminate(right)
             local[:owned] += right[:owned]
-            g.array_w[:] = local
         self._g.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
         self.ksp.solve(self._g, self._z)
         self.iterations += self.ksp.getIterationNumber()

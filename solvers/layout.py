@@ -72,3 +72,9 @@ class BlockLayout:
         blocks, bs = dofmap.list[: self.cells], dofmap.index_map_bs
         dofs = blocks[:, :, None] * bs + np.arange(bs, dtype=np.int32)
         return dofs.reshape(self.cells, blocks.shape[1] * bs)
+
+    def local_dofs(self, field: int) -> int:
+        """Number of scalar dofs of a field on this rank, ghosts included."""
+        dofmap = self._dofmaps[field]
+        index_map = dofmap.index_map
+        return int((index_map.size_local + index_map.num_ghosts) * dofmap.index_map_bs)

@@ -6,7 +6,9 @@ import itertools
 import logging
 import time
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 from mpi4py import MPI
@@ -21,7 +23,13 @@ from ufl.algorithms import expand_derivatives
 
 from forms import CellData
 from solvers import options as defaults
-from solvers.condensation import CondensedSolver, rigid_body_modes
+from solvers.compiled import CellKernel, CompiledProblem, KernelBlocks
+from solvers.condensation import (
+    CellBlocks,
+    CondensedBlocks,
+    CondensedSolver,
+    rigid_body_modes,
+)
 from solvers.layout import BlockLayout
 from solvers.options import SOLVERS, Options
 from solvers.result import ConvergenceError, SolveResult
@@ -41,7 +49,8 @@ class MixedProblem:
 
     Attributes:
         fields: The unknowns.
-        problem: The `dolfinx.fem.petsc.NonlinearProblem`; its SNES is `problem.solver`.
+        problem: The `dolfinx.fem.petsc.NonlinearProblem`, or with a kernel what stands in its
+            place; its SNES is `problem.solver`.
         condensed: The condensed system with `solver="condensed"` and cell-local fields, else None.
         scales: Unit of each field in the scaled system, found at the first solve.
     """
@@ -53,16 +62,20 @@ class MixedProblem:
         bcs: Sequence[fem.DirichletBC] = (),
         *,
         solver: str = "condensed",
+        kernel: CellKernel | None = None,
         options: Options | None = None,
         jit_options: dict[str, Any] | None = None,
     ) -> None:
         """Derive and compile the Newton system (seconds the first time, then cached on disk).
 
         Args:
-            energy: Energy [J], a functional of `fields`.
+            energy: Energy [J], a functional of `fields`. With a kernel, the rest of the energy,
+                a functional of the displacement.
             fields: The unknowns, the displacement first, then cell-local fields if there are any.
             bcs: Dirichlet conditions on the displacement.
             solver: A name in `SOLVERS`.
+            kernel: A compiled kernel (`forms.kernels`) for a part of the energy, which makes up
+                the same Newton system faster; for `solver="condensed"` only.
             options: PETSc options that override the defaults of Newton's method and of `solver`.
             jit_options: DOLFINx's options for compiling forms.
 
@@ -73,42 +86,36 @@ class MixedProblem:
             raise ValueError(f"solver is {solver!r}; available: {', '.join(SOLVERS)}")
         if energy.arguments():
             raise ValueError("the energy has test or trial functions; it must be a functional")
-        missing = [f.name for f in fields if f not in energy.coefficients()]
+        if kernel is not None and solver != "condensed":
+            raise ValueError(f'solver is {solver!r}; a kernel goes with "condensed" only')
+        wanted = fields if kernel is None else fields[:1]
+        missing = [f.name for f in wanted if f not in energy.coefficients()]
         if missing:
             raise ValueError(f"the energy does not depend on the field {missing[0]}")
         self.fields = tuple(fields)
-        self.scales: npt.NDArray[np.float64] | None = None
+        self.scales: npt.NDArray[np.float64] = np.ones(len(self.fields))
+        self._scaled = False
         self._layout = BlockLayout(self.fields)
         self._cell_data = [c for c in energy.coefficients() if isinstance(c, CellData)]
         self._norms: list[dict[str, float]] = []
         self._residuals: list[float] = []
         self._timings: dict[str, float] = {}
 
-        tests = [ufl.TestFunction(f.function_space) for f in fields]
-        trials = [ufl.TrialFunction(f.function_space) for f in fields]
-        residual = [ufl.derivative(energy, f, v) for f, v in zip(fields, tests, strict=True)]
-        jacobian: Any = [  # DOLFINx takes None for a block that vanishes; its type does not say so
-            [_or_none(ufl.derivative(r, f, du)) for f, du in zip(fields, trials, strict=True)]
-            for r in residual
-        ]
         logger.info("compiling the residual and the Jacobian (cached on disk afterwards)")
         start = time.perf_counter()
-        self.problem = NonlinearProblem(
-            residual,
-            self.fields,
-            J=jacobian,
-            bcs=list(bcs),
-            kind="mpi",
-            petsc_options_prefix=(prefix := f"mixed_fem_{next(_serial)}_"),
-            jit_options=jit_options,
-        )
+        prefix = f"mixed_fem_{next(_serial)}_"
+        self.problem: NonlinearProblem | CompiledProblem
+        if kernel is None:
+            self.problem = _nonlinear_problem(energy, self.fields, bcs, prefix, jit_options)
+        else:
+            self.problem = CompiledProblem(energy, self.fields, bcs, kernel, prefix)
         logger.info("compiled in %.1f s", time.perf_counter() - start)
 
         snes = self.problem.solver
         _set_options(self, prefix, {**_default_options(self.fields, solver), **(options or {})})
         self.condensed: CondensedSolver | None = None
         if solver == "condensed" and len(self.fields) > 1:
-            self.condensed = CondensedSolver(self.fields, prefix)
+            self.condensed = CondensedSolver(self.fields, prefix, _weakly(self._make_blocks))
             pc = snes.getKSP().getPC()
             pc.setType(PETSc.PC.Type.PYTHON)
             pc.setPythonContext(self.condensed)
@@ -116,12 +123,14 @@ class MixedProblem:
             self.problem.A.setOption(PETSc.Mat.Option.SYMMETRIC, True)
             self.problem.A.setNearNullSpace(rigid_body_modes(self.fields[0].function_space))
         snes.setFromOptions()
+        # PETSc must not keep this object alive, which keeps PETSc's objects alive.
         _, (assemble, _args, kwargs) = snes.getFunction()
-        snes.setFunction(self._evaluate(assemble, "residual", kwargs), self.problem.b)
+        self._assemble_residual = partial(assemble, **kwargs)
+        snes.setFunction(_weakly(self._residual), self.problem.b)
         A, P, (assemble, _args, kwargs) = snes.getJacobian()
-        self._jacobian = self._evaluate(assemble, "jacobian", kwargs)
-        snes.setJacobian(self._jacobian, A, P)
-        snes.setMonitor(self._monitor)
+        self._assemble_jacobian = partial(assemble, **kwargs)
+        snes.setJacobian(_weakly(self._jacobian), A, P)
+        snes.setMonitor(_weakly(self._monitor))
         # D: the scale of each unknown; x: the unscaled unknowns, as DOLFINx's callbacks want them.
         self._D = self.problem.x.duplicate()
         self._x = self.problem.x.duplicate()
@@ -135,9 +144,11 @@ class MixedProblem:
         """
         start = time.perf_counter()
         before = [f.x.array.copy() for f in self.fields]
+        if isinstance(self.problem, CompiledProblem):
+            self.problem.meet_conditions()
         self._norms, self._residuals = [], []
         self._timings = {"residual": 0.0, "jacobian": 0.0}
-        if self.scales is None:
+        if not self._scaled:
             self._set_scales()
         if self.condensed is not None:
             self.condensed.start()
@@ -167,7 +178,7 @@ class MixedProblem:
             timings=self._timings,
         )
         if reason <= 0:
-            self.scales = None
+            self._scaled = False
             for f, values in zip(self.fields, before, strict=True):
                 f.x.array[:] = values
             raise ConvergenceError(result)
@@ -178,28 +189,36 @@ class MixedProblem:
         for data in self._cell_data:
             data.refresh()
 
+    def _make_blocks(self, A: PETSc.Mat) -> CondensedBlocks:
+        if isinstance(self.problem, CompiledProblem):
+            return KernelBlocks(self.problem, self.scales)
+        return CellBlocks(self._layout, A, self.fields[0].function_space.dofmap.index_map_bs)
+
     def _to_fields(self, x: PETSc.Vec) -> None:
         x.ghostUpdate(PETSc.InsertMode.INSERT, PETSc.ScatterMode.FORWARD)
         assign(x, self.fields)
 
-    def _evaluate(
-        self, assemble: Callable[..., None], phase: str, kwargs: dict[str, Any]
-    ) -> Callable[..., None]:
-        """Wrap DOLFINx's callback: unscale, refresh the per-cell data, assemble, scale."""
+    def _residual(self, snes: PETSc.SNES, x: PETSc.Vec, b: PETSc.Vec) -> None:
+        """The scaled residual at scaled unknowns."""
+        with self._evaluation("residual", x):
+            self._assemble_residual(snes, self._x, b)
+            b.pointwiseMult(b, self._D)
 
-        def callback(snes: PETSc.SNES, x: PETSc.Vec, *out: PETSc.Vec | PETSc.Mat) -> None:
-            start = time.perf_counter()
-            self._x.pointwiseMult(x, self._D)
-            self._to_fields(self._x)
-            self.refresh()
-            assemble(snes, self._x, *out, **kwargs)
-            if phase == "residual":
-                out[0].pointwiseMult(out[0], self._D)
-            else:
-                out[0].diagonalScale(self._D, self._D)
-            self._timings[phase] += time.perf_counter() - start
+    def _jacobian(self, snes: PETSc.SNES, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
+        """The scaled Jacobian at scaled unknowns."""
+        with self._evaluation("jacobian", x):
+            self._assemble_jacobian(snes, self._x, A, P)
+            A.diagonalScale(self._D, self._D)
 
-        return callback
+    @contextmanager
+    def _evaluation(self, phase: str, x: PETSc.Vec) -> Iterator[None]:
+        """Unscale the unknowns, put them into the fields, refresh the per-cell data; take time."""
+        start = time.perf_counter()
+        self._x.pointwiseMult(x, self._D)
+        self._to_fields(self._x)
+        self.refresh()
+        yield
+        self._timings[phase] += time.perf_counter() - start
 
     def _monitor(self, snes: PETSc.SNES, iteration: int, norm: float) -> None:
         b = self.problem.b.array_r / self._D.array_r
@@ -215,6 +234,27 @@ class MixedProblem:
         self._D.set(1.0)
         assign(self.fields, self.problem.x)
         self._jacobian(snes, self.problem.x, A, A)
+        entries = (
+            self.problem.block_entries()
+            if isinstance(self.problem, CompiledProblem)
+            else self._block_entries(A)
+        )
+        # The cell-local fields among themselves first: a multiplier takes the unit of the Hessian
+        # that it stands beside, whatever inertia adds to the displacement's own block.
+        scales = np.ones(n)
+        local = np.s_[1:]
+        for _ in range(50 if n > 1 else 0):
+            block = scales[local, None] * entries[local, local] * scales[local]
+            scales[local] /= np.sqrt(block.max(axis=1))
+        scales[0] = 1.0 / max(np.sqrt(entries[0, 0]), *(entries[0, local] * scales[local]), 0.0)
+        # A state without a Jacobian is for Newton's method to report.
+        self.scales[:] = scales if np.isfinite(scales).all() else 1.0
+        self._scaled = True
+        self._D.array_w[:] = np.repeat(self.scales, np.diff(self._layout.offsets))
+
+    def _block_entries(self, A: PETSc.Mat) -> npt.NDArray[np.float64]:
+        """Root mean square of the entries of each block, shape (fields, fields)."""
+        n = len(self.fields)
         indptr, columns, values = A.getValuesCSR()
         column_field = self._layout.fields_of(columns)
         row_field = np.repeat(np.arange(n), np.diff(self._layout.offsets))
@@ -226,18 +266,7 @@ class MixedProblem:
             [np.bincount(pair, w, n * n) for w in (weight * values**2, weight.astype(float))]
         )
         squares, counts = self._layout.comm.allreduce(sums, op=MPI.SUM)
-        entries = np.sqrt(squares / np.maximum(counts, 1)).reshape(n, n)
-        # The cell-local fields among themselves first: a multiplier takes the unit of the Hessian
-        # that it stands beside, whatever inertia adds to the displacement's own block.
-        scales = np.ones(n)
-        local = np.s_[1:]
-        for _ in range(50 if n > 1 else 0):
-            block = scales[local, None] * entries[local, local] * scales[local]
-            scales[local] /= np.sqrt(block.max(axis=1))
-        scales[0] = 1.0 / max(np.sqrt(entries[0, 0]), *(entries[0, local] * scales[local]), 0.0)
-        # A state without a Jacobian is for Newton's method to report.
-        self.scales = scales if np.isfinite(scales).all() else np.ones(n)
-        self._D.array_w[:] = np.repeat(self.scales, np.diff(self._layout.offsets))
+        return np.sqrt(squares / np.maximum(counts, 1)).reshape(n, n)
 
     def _round_off(self) -> float:
         """The scaled residual below which there is only rounding error.
@@ -246,7 +275,6 @@ class MixedProblem:
         machine precision changes the scaled residual by machine precision times their norm. The
         displacement counts with the size of the body, whose positions are what rounding acts on.
         """
-        assert self.scales is not None
         X = self.fields[0].function_space.mesh.geometry.x
         corners = np.concatenate([X.max(axis=0, initial=-np.inf), -X.min(axis=0, initial=np.inf)])
         self._layout.comm.Allreduce(MPI.IN_PLACE, corners, op=MPI.MAX)
@@ -254,6 +282,44 @@ class MixedProblem:
         dofmap = self.fields[0].function_space.dofmap
         norm = np.hypot(self.problem.x.norm(), size * np.sqrt(dofmap.index_map.size_global))
         return float(np.finfo(float).eps * norm)
+
+
+def _weakly[**P, T](method: Callable[P, T]) -> Callable[P, T]:
+    """A function that calls a bound method without keeping its object alive."""
+    reference = weakref.WeakMethod(method)
+
+    def call(*args: P.args, **kwargs: P.kwargs) -> T:
+        bound = reference()
+        assert bound is not None
+        return bound(*args, **kwargs)
+
+    return call
+
+
+def _nonlinear_problem(
+    energy: ufl.Form,
+    fields: Sequence[fem.Function],
+    bcs: Sequence[fem.DirichletBC],
+    prefix: str,
+    jit_options: dict[str, Any] | None,
+) -> NonlinearProblem:
+    """The Newton system of an energy: its first and second UFL derivatives by block."""
+    tests = [ufl.TestFunction(f.function_space) for f in fields]
+    trials = [ufl.TrialFunction(f.function_space) for f in fields]
+    residual = [ufl.derivative(energy, f, v) for f, v in zip(fields, tests, strict=True)]
+    jacobian: Any = [  # DOLFINx takes None for a block that vanishes; its type does not say so
+        [_or_none(ufl.derivative(r, f, du)) for f, du in zip(fields, trials, strict=True)]
+        for r in residual
+    ]
+    return NonlinearProblem(
+        residual,
+        fields,
+        J=jacobian,
+        bcs=list(bcs),
+        kind="mpi",
+        petsc_options_prefix=prefix,
+        jit_options=jit_options,
+    )
 
 
 def _set_options(owner: MixedProblem, prefix: str, options: Options) -> None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
+
 from mpi4py import MPI
 
 import numpy as np
@@ -27,20 +30,24 @@ from tests.states import (
 )
 
 MIXED = [name for name in FORMULATIONS if name != "displacement"]
+COMPILED = [name for name, form in FORMULATIONS.items() if form.kernel is not None]
 E, NU, RHO, H = 10.0, 0.3, 2.0, 0.4
 
 
-def build(d, formulation, material, solver="condensed", options=None):
+def build(d, formulation, material, solver="condensed", options=None, compiled=False):
     """A clamped body at rest."""
     msh = small_mesh(d)
     form = FORMULATIONS[formulation]
     fields = form.fields(msh)
     u = fields[0]
-    energy = form.density(*fields, MATERIALS[material](E, NU)) * ufl.dx
-    energy += BackwardEuler(u, H, (0.0, -9.81, 1.0)[:d]).kinetic(RHO) * ufl.dx
+    psi = MATERIALS[material](E, NU)
+    energy = BackwardEuler(u, H, (0.0, -9.81, 1.0)[:d]).kinetic(RHO) * ufl.dx
+    kernel = form.kernel(*fields, psi) if compiled else None
+    if kernel is None:
+        energy = form.density(*fields, psi) * ufl.dx + energy
     clamped = fem.locate_dofs_geometrical(u.function_space, lambda X: X[0] < 0.2)
     bcs = [fem.dirichletbc(np.zeros(d), clamped, u.function_space)]
-    return MixedProblem(energy, fields, bcs, solver=solver, options=options)
+    return MixedProblem(energy, fields, bcs, solver=solver, options=options, kernel=kernel)
 
 
 def newton_step(problem):
@@ -69,6 +76,33 @@ def test_same_newton_step_as_the_whole_system(d, material, formulation):
     for whole, condensed in zip(*steps, strict=True):
         difference = global_norm(MPI.COMM_WORLD, whole - condensed)
         assert difference < 1e-9 * global_norm(MPI.COMM_WORLD, whole)
+
+
+@pytest.mark.parametrize("d", [2, 3])
+@pytest.mark.parametrize("material", MATERIALS)
+@pytest.mark.parametrize("formulation", COMPILED)
+def test_same_newton_step_by_compiled_kernels(d, material, formulation):
+    """One switch, same numbers: the kernels and UFL take the same step."""
+    pytest.importorskip("numba")
+    steps = [newton_step(build(d, formulation, material, compiled=c)) for c in (False, True)]
+    for by_ufl, by_kernel in zip(*steps, strict=True):
+        difference = global_norm(MPI.COMM_WORLD, by_ufl - by_kernel)
+        assert difference < 1e-11 * global_norm(MPI.COMM_WORLD, by_ufl)
+
+
+@pytest.mark.parametrize("d", [2, 3])
+@pytest.mark.parametrize("formulation", COMPILED)
+def test_compiled_kernels_converge_to_the_same_state(d, formulation):
+    """The same iterations to the same state, with residuals that agree."""
+    pytest.importorskip("numba")
+    results, states = [], []
+    for compiled in (False, True):
+        problem = build(d, formulation, "stable-neo-hookean", compiled=compiled)
+        results.append(problem.solve())
+        states.append([f.x.array.copy() for f in problem.fields])
+    assert results[0].iterations == results[1].iterations
+    for by_ufl, by_kernel in zip(*states, strict=True):
+        np.testing.assert_allclose(by_kernel, by_ufl, rtol=0, atol=1e-9 * np.abs(by_ufl).max())
 
 
 @pytest.mark.parametrize("d", [2, 3])
@@ -145,3 +179,18 @@ def test_a_field_that_is_not_local_is_refused():
     energy = (ufl.inner(ufl.grad(u), ufl.grad(u)) + ufl.inner(u, u) + p**2 + p * u[0]) * ufl.dx
     with pytest.raises(ValueError, match="the field p is not local to cells"):
         MixedProblem(energy, (u, p), solver="condensed")
+
+
+@pytest.mark.parametrize(
+    ("solver", "compiled"), [("direct", False), ("condensed", False), ("condensed", True)]
+)
+def test_a_problem_is_freed(solver, compiled):
+    """PETSc's objects hold communicators, of which there are only so many."""
+    if compiled:
+        pytest.importorskip("numba")
+    problem = build(2, "symmetric", "stable-neo-hookean", solver, compiled=compiled)
+    problem.solve()
+    alive = weakref.ref(problem), weakref.ref(problem.problem)
+    del problem
+    gc.collect()
+    assert [reference() for reference in alive] == [None, None]

@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 import numpy as np
+import pytest
 import ufl
 
 README = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
@@ -28,6 +29,17 @@ def test_another_strain_energy():
     exec(example, names)
     assert max(names["iterations"]) <= 5
     assert np.isfinite(names["u"].x.array).all()
+
+
+def test_kernel():
+    """The README's call with a compiled kernel, in the same Newton iterations."""
+    pytest.importorskip("numba")
+    names: dict[str, object] = {}
+    line = "problem = MixedProblem(energy, (u, S, Y), bcs=[clamped])\n"
+    imported = "from forms.kernels import SymmetricKernel\n"
+    assert line in EXAMPLES[0]
+    exec(imported + EXAMPLES[0].replace(line, EXAMPLES[2]), names)
+    assert names["iterations"] == [3, 3, 3]
 
 
 def test_ten_lines():

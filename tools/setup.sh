@@ -20,6 +20,8 @@ stamp=$venv/set-up.stamp
 origin=$venv/set-up.origin # checkout, route and interpreter that the environment was made from
 extras=plot,fast,test,lint
 
+case ${PYTHON:-} in "$venv"/* | "$root/$venv"/*) unset PYTHON ;; esac # is what shall be made
+
 say() { printf 'set-up: %s\n' "$*"; }
 die() {
   printf 'set-up: %s\n' "$*" >&2

@@ -1,0 +1,216 @@
+"""The Newton system of an energy whose larger part a compiled per-cell kernel supplies."""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol, cast
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem, la
+from dolfinx.fem.petsc import assemble_matrix, create_matrix, create_vector
+
+from solvers.layout import BlockLayout
+
+_assemble_matrix: Any = assemble_matrix  # its overloads are not typed
+
+Floats = npt.NDArray[np.float64]
+
+
+class CellKernel(Protocol):
+    """What a compiled kernel offers: a part of the energy and of its Newton system.
+
+    All arrays hold local degrees of freedom, ghosts included, as `Function.x.array` does.
+    """
+
+    @property
+    def residual(self) -> Callable[..., None]:
+        """Adds the derivatives of the energy to an array for each field."""
+
+    def matrix_form(self, *, projected: bool = False) -> fem.Form:
+        """Return the condensed matrix as a compiled form that reads the current fields."""
+
+
+class EliminatingKernel(CellKernel, Protocol):
+    """A kernel with two cell-local fields, of which D = (H, -w; -w, 0) with w diagonal."""
+
+    def eliminate(self, b_S: Floats, b_Y: Floats, b_u: Floats) -> None:
+        """Add -Bᵀ D⁻¹ b_l to b_u."""
+
+    def recover(self, du: Floats, b_S: Floats, b_Y: Floats, dS: Floats, dY: Floats) -> None:
+        """Set δl = D⁻¹ (b_l - B δu) on owned cells."""
+
+
+class CompiledProblem:
+    """The callbacks and vectors of a `dolfinx.fem.petsc.NonlinearProblem`, made with a kernel.
+
+    Attributes:
+        fields: The unknowns.
+        kernel: The kernel.
+        layout: Their numbering.
+        solver: The SNES.
+        x: Unknowns, in DOLFINx's blocked layout.
+        b: Residual.
+        A: The Jacobian: the condensed matrix itself without cell-local fields, else a shell that
+            stands for the block system and is only ever solved with.
+        K: The condensed matrix.
+        prescribed: Local displacement dofs, ghosts included, with Dirichlet conditions.
+    """
+
+    def __init__(
+        self,
+        energy: ufl.Form,
+        fields: Sequence[fem.Function],
+        bcs: Sequence[fem.DirichletBC],
+        kernel: CellKernel,
+        prefix: str,
+    ) -> None:
+        """Compile the part of the energy that is not the kernel's.
+
+        Args:
+            energy: The other part of the energy [J], a functional of the displacement alone.
+            fields: The unknowns, the displacement first.
+            bcs: Dirichlet conditions on the displacement.
+            kernel: The kernel's part of the energy.
+            prefix: Options prefix of the SNES.
+        """
+        u = fields[0]
+        V = u.function_space
+        self.fields, self.kernel = fields, kernel
+        self._bcs = list(bcs)
+        self.layout = BlockLayout(fields)
+        residual = ufl.derivative(energy, u, ufl.TestFunction(V))
+        self.prescribed = np.concatenate(
+            [bc.dof_indices()[0] for bc in bcs] or [np.zeros(0, dtype=np.int32)]
+        )
+        self._residual = fem.form(residual)
+        self._jacobian = fem.form(ufl.derivative(residual, u, ufl.TrialFunction(V)))
+        self._matrix_form = kernel.matrix_form()
+        self._r_u = la.vector(V.dofmap.index_map, V.dofmap.index_map_bs)
+        spaces = [f.function_space for f in fields]
+        self.x, self.b = create_vector(spaces, kind="mpi"), create_vector(spaces, kind="mpi")
+        self.K = create_matrix(self._jacobian)
+        self.A = self.K
+        if len(fields) > 1:
+            size = self.x.getSizes()
+            self.A = PETSc.Mat().createPython((size, size), context=_Shell(self), comm=self.x.comm)
+            self.A.setUp()
+        self.solver = PETSc.SNES().create(self.x.comm)
+        self.solver.setOptionsPrefix(prefix)
+        self.solver.setFunction(self._assemble_residual, self.b)
+        self.solver.setJacobian(self._assemble_jacobian, self.A)
+
+    def _assemble_residual(self, snes: PETSc.SNES, x: PETSc.Vec, b: PETSc.Vec) -> None:
+        V = self.fields[0].function_space
+        r_u = self._r_u.array
+        r_u[:] = 0.0
+        fem.assemble_vector(r_u, self._residual)
+        r_l = [np.zeros_like(f.x.array) for f in self.fields[1:]]
+        self.kernel.residual(r_u, *r_l)
+        self._r_u.scatter_reverse(la.InsertMode.add)
+        owned = V.dofmap.index_map.size_local * V.dofmap.index_map_bs
+        # The fields meet the conditions (`MixedProblem` sees to it), so that nothing is lifted.
+        r_u[self.prescribed] = 0.0
+        parts = [r_u[:owned]]
+        for values, n in zip(r_l, np.diff(self.layout.offsets)[1:], strict=True):
+            parts.append(values[:n])
+        b.array_w[:] = np.concatenate(parts)
+
+    def _assemble_jacobian(
+        self, snes: PETSc.SNES, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat
+    ) -> None:
+        self.K.zeroEntries()
+        _assemble_matrix(self.K, self._matrix_form, self._bcs, diag=0.0)
+        self.K.assemble(PETSc.Mat.AssemblyType.FLUSH)
+        _assemble_matrix(self.K, self._jacobian, self._bcs, diag=1.0)
+        self.K.assemble()
+
+    def meet_conditions(self) -> None:
+        """Put the values of the Dirichlet conditions into the displacement."""
+        for bc in self._bcs:
+            bc.set(self.fields[0].x.array)
+
+    def block_entries(self) -> Floats:
+        """Typical entries of the block Jacobian last assembled, shape (fields, fields).
+
+        The condensed matrix stands for the displacement's own block. The local blocks are read off
+        their inverse: of (H, -w; -w, 0) it is (0, -1/w; -1/w, -H/w²).
+        """
+        kernel = cast(EliminatingKernel, self.kernel)
+        n = len(self.fields)
+        entries = np.zeros((n, n))
+        nonzeros = self.K.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"]
+        entries[0, 0] = self.K.norm() / np.sqrt(nonzeros)
+        if n > 1:
+            zero, one = np.zeros_like(self.fields[1].x.array), np.ones_like(self.fields[1].x.array)
+            dS, dY = np.zeros_like(one), np.zeros_like(one)
+            kernel.recover(np.zeros_like(self.fields[0].x.array), zero, one, dS, dY)
+            squares = np.array([np.sum(dS**2), np.sum(dY**2), np.count_nonzero(dS)])
+            squares = self.layout.comm.allreduce(squares, op=MPI.SUM)
+            in_S, in_Y = np.sqrt(squares[:2] / max(squares[2], 1))
+            entries[1, 2] = entries[2, 1] = 1.0 / in_S
+            entries[1, 1] = in_Y / in_S**2
+        return entries
+
+
+class _Shell:
+    """The block Jacobian, which is not assembled: scaling reaches the condensed matrix."""
+
+    def __init__(self, problem: CompiledProblem) -> None:
+        self._problem = weakref.ref(problem)
+
+    def diagonalScale(self, A: PETSc.Mat, left: PETSc.Vec, right: PETSc.Vec) -> None:
+        """Scale K as the displacement's rows and columns are to be."""
+        problem = self._problem()
+        assert problem is not None
+        scale = problem.K.createVecLeft()
+        scale.array_w[:] = left.array_r[: scale.getLocalSize()]
+        problem.K.diagonalScale(scale, scale)
+
+
+class KernelBlocks:
+    """Elimination by a kernel, in the scaled unknowns of a `MixedProblem`."""
+
+    def __init__(self, problem: CompiledProblem, scales: Floats) -> None:
+        """Make buffers.
+
+        Args:
+            problem: Holds the condensed matrix and a kernel with two cell-local fields.
+            scales: Unit of each field.
+        """
+        self.K = problem.K
+        self._kernel = cast(EliminatingKernel, problem.kernel)
+        self._scales = scales
+        self._layout, self._prescribed = problem.layout, problem.prescribed
+        self._u, self._b_S, self._b_Y, self._dS, self._dY = (
+            np.zeros_like(f.x.array) for f in (*problem.fields, *problem.fields[1:])
+        )
+
+    def update(self, A: PETSc.Mat) -> None:
+        """Nothing: the condensed matrix is assembled with the Jacobian."""
+
+    def eliminate(self, b: Floats) -> Floats:
+        """Return -Bᵀ D⁻¹ b_l on local displacement dofs, for this rank's unknowns b."""
+        self._set_right_hand_side(b)
+        self._u[:] = 0.0
+        self._kernel.eliminate(self._b_S, self._b_Y, self._u)
+        self._u[self._prescribed] = 0.0
+        return self._u * self._scales[0]
+
+    def recover(self, b: Floats, u: Floats, x: Floats) -> None:
+        """Put δl = D⁻¹ (b_l - B δu) into this rank's unknowns x; u on local dofs."""
+        self._set_right_hand_side(b)
+        self._kernel.recover(u * self._scales[0], self._b_S, self._b_Y, self._dS, self._dY)
+        _, x_S, x_Y = self._layout.split(x)
+        x_S[:] = self._dS[: len(x_S)] / self._scales[1]
+        x_Y[:] = self._dY[: len(x_Y)] / self._scales[2]
+
+    def _set_right_hand_side(self, b: Floats) -> None:
+        _, b_S, b_Y = self._layout.split(b)
+        self._b_S[: len(b_S)] = b_S / self._scales[1]
+        self._b_Y[: len(b_Y)] = b_Y / self._scales[2]
