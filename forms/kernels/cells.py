@@ -63,9 +63,11 @@ class Cells:
             or mesh.topology.dim != self.dimension
             or (element.family.name, element.degree) != ("P", 1)
             or V.dofmap.bs != self.dimension
+            or any(a.dtype != np.dtype(np.float64) for a in (u.x.array, mesh.geometry.x))
         ):
             raise ValueError(
-                "the displacement is not P1 on straight cells; compiled kernels exist for no other"
+                "the displacement is not P1 on straight cells, real and in double precision; "
+                "compiled kernels exist for no other"
             )
         cells = mesh.topology.index_map(mesh.topology.dim).size_local
         name, mu, lam = _named(psi)

@@ -1,0 +1,214 @@
+"""`mixed-fem compare`: UFL and the hand-derived system agree, and a small error does not pass."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from functools import cache
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from demos import compare as comparison
+from demos.cli import main
+from demos.compare import compare, missing, run, table
+from demos.compare_cases import BODIES, STATES, SYSTEMS, ufl_cases
+from demos.compare_equations import CONDENSED, items
+from demos.progress import Screen
+from forms import MATERIALS
+from forms.discrete import ERRATA, Corotational, SeedSystem, SymmetricSystem
+
+COMM = MPI.COMM_WORLD
+SYSTEM = {"seed": SeedSystem, "symmetric": SymmetricSystem}
+# Identically zero in the symmetric formulation, so that there is nothing to scale.
+ZERO = {("symmetric", "F"), ("symmetric", "C")}
+
+
+@cache
+def all_cases():
+    """UFL's side; the same arrays on every rank."""
+    return ufl_cases(COMM, Screen(COMM))
+
+
+def some(formulation, body=BODIES[1], material="stable-neo-hookean"):
+    return [case for case in all_cases() if case.names[:3] == (body, formulation, material)]
+
+
+def failed(cases, hook=lambda system: system):
+    return [row for row in table(compare(cases, hook)) if not row.agrees]
+
+
+def test_every_equation_agrees_in_every_case():
+    """Every number has a row or a reason, and every case takes part in every row it can."""
+    comparisons = compare(all_cases())
+    rows = table(comparisons)
+    assert [row for row in rows if not row.agrees] == []
+    assert missing(rows) == []
+    silent = {e.number for e in ERRATA} - {row.equation for row in rows}
+    assert silent == {e.number for e in ERRATA if e.verdict == "not comparable"} == {1, 25}
+    assert {c.case for c in comparisons} == {
+        (body, formulation, material, state)
+        for body in BODIES
+        for formulation in SYSTEMS
+        for material in MATERIALS
+        for state in STATES
+    }
+    steps = [row for row in rows if "step" in row.what]
+    assert {row.equation for row in steps} == {35, 41, CONDENSED}
+    assert all(row.worst.tolerance == 1e-10 for row in rows if row not in steps)
+    assert all(row.worst.tolerance == 1e-9 for row in steps)
+
+
+def test_states_are_what_they_are_called():
+    """At rest and feasible S = S(F) within round-off; else the constraint is violated by far."""
+    for case in all_cases():
+        c = np.linalg.norm(case.constraint.first["l"])
+        size = np.linalg.norm(case.constraint.second["ls"] @ case.unknowns["s"])
+        if case.names[3] == "infeasible":
+            assert c > 0.05 * size
+        else:
+            assert c < 1e-14 * size
+        moves = case.names[3] != "rest"
+        assert (np.linalg.norm(case.unknowns["x"] - case.iterate.X.ravel()) > 0.5) == moves
+        assert np.any(case.unknowns["l"]) == moves
+    assert {len(case.iterate.cells) for case in all_cases()} == {1, 12}
+
+
+def changed(block):
+    """A block with relative errors of 1e-6, different in every entry."""
+    if sp.issparse(block):
+        block = sp.csr_array(block, copy=True)
+        block.data = changed(block.data)
+        return block
+    noise = np.random.default_rng(0).choice([-1.0, 1.0], np.shape(block))
+    return block * (1.0 + 1e-6 * noise)
+
+
+@pytest.mark.serial  # as the next two: plain NumPy, with the same arrays on all ranks
+@pytest.mark.parametrize("formulation", SYSTEMS)
+def test_an_error_of_1e_6_in_any_block_is_found(formulation):
+    """In each block that the witness has, alone."""
+    cases = some(formulation)[-1:]  # the infeasible state, where nothing vanishes by itself
+    names = SYSTEM[formulation].block_names()
+    changes, missed = set(), []
+
+    def wrong(system, block):
+        value = getattr(system, block)
+        if (formulation, block) in ZERO:
+            assert value.nnz == 0
+            new = 1e-6 * sp.eye_array(*value.shape, format="csr")
+        elif not np.any(value.data if sp.issparse(value) else value):
+            return system  # of the term with ε, in the printed system
+        else:
+            new = changed(value)
+        changes.add(block)
+        return system.with_blocks(**{block: new})
+
+    assert failed(cases) == []
+    for block in names:
+        if not failed(cases, lambda system, block=block: wrong(system, block)):
+            missed.append(block)
+    assert missed == []
+    assert changes == set(names)
+
+
+@pytest.mark.serial
+def test_an_error_in_one_case_alone_is_found():
+    """One entry of one material."""
+    cases = [case for case in all_cases() if case.names[0] == BODIES[1]]
+
+    def hook(system):
+        if not isinstance(system.material, Corotational):
+            return system
+        g = system.g_K.copy()
+        g[5, 0] *= 1.0 + 1e-6
+        return system.with_blocks(g_K=g)
+
+    bad = failed(cases, hook)
+    assert {row.equation for row in bad} >= {2, 10, 11, 35, 41}
+    assert {row.worst.case[2] for row in bad} == {"corotational"}
+
+
+@pytest.mark.serial
+def test_what_is_not_a_number_differs():
+    cases = some("seed", BODIES[0])
+    rows = failed(cases, lambda system: system.with_blocks(g_x=np.nan * system.g_x))
+    assert {9, 28, 35} <= {row.equation for row in rows}
+    broken = [replace(case, moved=np.nan) for case in cases]
+    assert [row.equation for row in failed(broken)] == [5]
+
+
+def test_finite_differences_confirm_ufls_W_hat_and_second_derivative():
+    """(17) and (24) as UFL has them, by differences of W and E_Λ, which know no derivative."""
+    case = some("seed")[2]
+    found = {(item.equation, item.what): item.expected for item in items(case)}
+    W_hat, E_xx = found[17, "Ŵ_K, times J_K"], found[24, "∂²E_Λ/∂x²"]
+    system = SeedSystem(case.iterate, None)
+    s, direction = system.s, np.random.default_rng(5).standard_normal(case.unknowns["x"].size)
+
+    def at(step):
+        x = (case.unknowns["x"] + step * direction).reshape(-1, 3)
+        return SeedSystem(replace(case.iterate, x=x), None)
+
+    h = 1e-5
+    difference = (at(h).W - at(-h).W) / (2 * h) * system.volume[:, None, None]
+    for k in range(s.shape[1]):
+        np.testing.assert_allclose(
+            W_hat[k] @ direction, difference[..., k].ravel(), rtol=0, atol=1e-8
+        )
+    h = 1e-3
+    stencil = (-1, 16, -30, 16, -1)
+    values = [at(k * h).E_Lambda() for k in range(-2, 3)]
+    second = sum(w * v for w, v in zip(stencil, values, strict=True)) / (12 * h**2)
+    assert direction @ E_xx @ direction == pytest.approx(second, rel=1e-6)
+
+
+def said(capfd):
+    """What rank 0 printed on stdout, on every rank; the others must have been silent."""
+    out = capfd.readouterr().out
+    assert COMM.rank == 0 or out == ""
+    return COMM.bcast(out)
+
+
+@pytest.fixture
+def known(monkeypatch):
+    """UFL's side is not assembled a second time, and one body is enough."""
+    cases = [case for case in all_cases() if case.names[0] == BODIES[0]]
+    monkeypatch.setattr(comparison, "ufl_cases", lambda comm, screen: cases)
+    return cases
+
+
+def test_table(known, capfd):
+    assert main(["compare"]) == 0
+    lines = said(capfd).splitlines()
+    for erratum in ERRATA:
+        assert sum(line.lstrip().startswith(f"({erratum.number})") for line in lines) == 1
+    assert sum("not comparable:" in line for line in lines) == 2
+    assert "0 rows differ" in lines[-1]
+
+
+def test_json_is_the_last_thing_on_stdout(known, capfd):
+    assert main(["compare", "--json"]) == 0
+    document = json.loads(said(capfd))
+    assert document["passed"] is True
+    assert document["ranks"] == COMM.size
+    assert [e["equation"] for e in document["equations"]] == list(range(1, 42))
+    assert all(e["compared"] or e["reason"] for e in document["equations"])
+    assert {row["verdict"] for row in document["rows"]} == {"agrees"}
+    assert len(document["comparisons"]) > 1000
+
+
+def test_exit_code_1_on_all_ranks_if_something_differs(known, monkeypatch, capfd):
+    wrong = [replace(case, moved=(1.0 + 1e-9) * case.moved) for case in known]
+    monkeypatch.setattr(comparison, "ufl_cases", lambda comm, screen: wrong)
+    for as_json in (False, True):
+        assert run(COMM, as_json) == 1
+        out = said(capfd)
+        assert "DIFFERS" in out
+    document = json.loads(out)
+    assert document["passed"] is False
+    different = [row for row in document["rows"] if row["verdict"] != "agrees"]
+    assert [(row["equation"], row["size"]) for row in different] == [(5, [1])]
