@@ -65,7 +65,7 @@ class Output:
             [*_STEP, *residuals, *_ENERGIES, *_SECONDS],
         )
         self._newton = _Csv(
-            self._comm, folder / "newton.csv", ["step", "iteration", "residual", *residuals]
+            self._comm, folder / "newton.csv", ["step", "iteration", "residual", *residuals, "note"]
         )
         self._u = simulation.fields[0]
         strain_space = fem.functionspace(simulation.body.mesh, ("DG", 0))
@@ -101,7 +101,7 @@ class Output:
                 *(energies.kinetic, energies.elastic, energies.potential),
                 seconds["residual"] + seconds["jacobian"],
                 seconds.get("condensation", 0.0),
-                seconds["linear"],
+                seconds.get("setup", 0.0) + seconds["solve"],
             ]
         )
         self._write_fields()
@@ -109,7 +109,8 @@ class Output:
     def iterations(self, result: SolveResult) -> None:
         """Record the Newton iterations of the step under way, finished or failed."""
         for k, (norms, norm) in enumerate(zip(result.norms, result.residuals, strict=True)):
-            self._newton.row([self._step + 1, k, norm, *(norms[name] for name in self._names)])
+            values = (norms[name] for name in self._names)
+            self._newton.row([self._step + 1, k, norm, *values, result.notes.get(k, "")])
 
     def final(self) -> dict[str, Array] | None:
         """Write the state reached to ``final.npz``; return it on rank 0. Collective."""

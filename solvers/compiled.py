@@ -35,6 +35,9 @@ class CellKernel(Protocol):
     def matrix_form(self, *, projected: bool = False) -> fem.Form:
         """Return the condensed matrix as a compiled form that reads the current fields."""
 
+    def energy(self) -> float:
+        """Return the energy of this rank's cells without its multiplier's term [J]."""
+
 
 class EliminatingKernel(CellKernel, Protocol):
     """A kernel with two cell-local fields, of which D = (H, -w; -w, 0) with w diagonal."""
@@ -69,6 +72,8 @@ class CompiledProblem:
         bcs: Sequence[fem.DirichletBC],
         kernel: CellKernel,
         prefix: str,
+        *,
+        projected: bool = False,
     ) -> None:
         """Compile the part of the energy that is not the kernel's.
 
@@ -78,6 +83,7 @@ class CompiledProblem:
             bcs: Dirichlet conditions on the displacement.
             kernel: The kernel's part of the energy.
             prefix: Options prefix of the SNES.
+            projected: Whether the Jacobian is always the kernel's positive semi-definite one.
         """
         u = fields[0]
         V = u.function_space
@@ -90,8 +96,11 @@ class CompiledProblem:
         )
         self._residual = fem.form(residual)
         self._jacobian = fem.form(ufl.derivative(residual, u, ufl.TrialFunction(V)))
-        self._matrix_form = kernel.matrix_form()
+        self._energy = fem.form(energy)
+        self._projected = projected
+        self._matrix_forms = {projected: kernel.matrix_form(projected=projected)}
         self._r_u = la.vector(V.dofmap.index_map, V.dofmap.index_map_bs)
+        self._r_l = [np.zeros_like(f.x.array) for f in fields[1:]]
         spaces = [f.function_space for f in fields]
         self.x, self.b = create_vector(spaces, kind="mpi"), create_vector(spaces, kind="mpi")
         self.K = create_matrix(self._jacobian)
@@ -106,29 +115,46 @@ class CompiledProblem:
         self.solver.setJacobian(self._assemble_jacobian, self.A)
 
     def _assemble_residual(self, snes: PETSc.SNES, x: PETSc.Vec, b: PETSc.Vec) -> None:
-        V = self.fields[0].function_space
         r_u = self._r_u.array
-        r_u[:] = 0.0
+        for values in (r_u, *self._r_l):
+            values[:] = 0.0
         fem.assemble_vector(r_u, self._residual)
-        r_l = [np.zeros_like(f.x.array) for f in self.fields[1:]]
-        self.kernel.residual(r_u, *r_l)
+        self.kernel.residual(r_u, *self._r_l)
         self._r_u.scatter_reverse(la.InsertMode.add)
-        owned = V.dofmap.index_map.size_local * V.dofmap.index_map_bs
         # The fields meet the conditions (`MixedProblem` sees to it), so that nothing is lifted.
         r_u[self.prescribed] = 0.0
-        parts = [r_u[:owned]]
-        for values, n in zip(r_l, np.diff(self.layout.offsets)[1:], strict=True):
-            parts.append(values[:n])
-        b.array_w[:] = np.concatenate(parts)
+        for part, values in zip(self.layout.split(b.array_w), (r_u, *self._r_l), strict=True):
+            part[:] = values[: len(part)]
 
     def _assemble_jacobian(
         self, snes: PETSc.SNES, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat
     ) -> None:
+        self.assemble_condensed(projected=self._projected)
+
+    def assemble_condensed(self, *, projected: bool) -> None:
+        """Assemble K at the current fields, in their own units. Collective.
+
+        Args:
+            projected: Whether to make the kernel's part positive semi-definite cell by cell.
+        """
+        if projected not in self._matrix_forms:
+            self._matrix_forms[projected] = self.kernel.matrix_form(projected=projected)
         self.K.zeroEntries()
-        _assemble_matrix(self.K, self._matrix_form, self._bcs, diag=0.0)
+        _assemble_matrix(self.K, self._matrix_forms[projected], self._bcs, diag=0.0)
         self.K.assemble(PETSc.Mat.AssemblyType.FLUSH)
         _assemble_matrix(self.K, self._jacobian, self._bcs, diag=1.0)
         self.K.assemble()
+
+    def project(self, scale: float) -> bool:
+        """Assemble K positive semi-definite, for a displacement in this unit. Collective."""
+        self.assemble_condensed(projected=True)
+        self.K.scale(scale**2)
+        return True
+
+    def energy(self) -> float:
+        """The energy at the current fields [J]. Collective."""
+        local = self.kernel.energy() + fem.assemble_scalar(self._energy)
+        return float(self.layout.comm.allreduce(local))
 
     def meet_conditions(self) -> None:
         """Put the values of the Dirichlet conditions into the displacement."""
@@ -156,6 +182,18 @@ class CompiledProblem:
             entries[1, 2] = entries[2, 1] = 1.0 / in_S
             entries[1, 1] = in_Y / in_S**2
         return entries
+
+
+def weakly[**P, T](method: Callable[P, T]) -> Callable[P, T]:
+    """A function that calls a bound method without keeping its object alive."""
+    reference = weakref.WeakMethod(method)
+
+    def call(*args: P.args, **kwargs: P.kwargs) -> T:
+        bound = reference()
+        assert bound is not None
+        return bound(*args, **kwargs)
+
+    return call
 
 
 class _Shell:
@@ -187,6 +225,7 @@ class KernelBlocks:
         self._kernel = cast(EliminatingKernel, problem.kernel)
         self._scales = scales
         self._layout, self._prescribed = problem.layout, problem.prescribed
+        self._project = weakly(problem.project)
         self._u, self._b_S, self._b_Y, self._dS, self._dY = (
             np.zeros_like(f.x.array) for f in (*problem.fields, *problem.fields[1:])
         )
@@ -194,18 +233,24 @@ class KernelBlocks:
     def update(self, A: PETSc.Mat) -> None:
         """Nothing: the condensed matrix is assembled with the Jacobian."""
 
-    def eliminate(self, b: Floats) -> Floats:
-        """Return -Bᵀ D⁻¹ b_l on local displacement dofs, for this rank's unknowns b."""
+    def project(self) -> bool:
+        """Make the cells' parts of K positive semi-definite. Collective."""
+        return self._project(float(self._scales[0]))
+
+    def eliminate(self, b: Floats, g: Floats) -> None:
+        """Add -Bᵀ D⁻¹ b_l to g on local displacement dofs, for this rank's unknowns b."""
         self._set_right_hand_side(b)
         self._u[:] = 0.0
         self._kernel.eliminate(self._b_S, self._b_Y, self._u)
         self._u[self._prescribed] = 0.0
-        return self._u * self._scales[0]
+        self._u *= self._scales[0]
+        g += self._u
 
     def recover(self, b: Floats, u: Floats, x: Floats) -> None:
         """Put δl = D⁻¹ (b_l - B δu) into this rank's unknowns x; u on local dofs."""
         self._set_right_hand_side(b)
-        self._kernel.recover(u * self._scales[0], self._b_S, self._b_Y, self._dS, self._dY)
+        np.multiply(u, self._scales[0], out=self._u)
+        self._kernel.recover(self._u, self._b_S, self._b_Y, self._dS, self._dY)
         _, x_S, x_Y = self._layout.split(x)
         x_S[:] = self._dS[: len(x_S)] / self._scales[1]
         x_Y[:] = self._dY[: len(x_Y)] / self._scales[2]

@@ -17,7 +17,8 @@ energy there is: a row of a cell-local unknown couples with the dofs of its own 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Protocol
 
 from petsc4py import PETSc
@@ -28,7 +29,7 @@ from dolfinx import fem, la
 from dolfinx.fem.petsc import create_vector
 
 from solvers.layout import BlockLayout, Ints
-from solvers.options import FORCING_LIMITS
+from solvers.options import FACTORISE_UP_TO, FORCING_LIMITS, KEEP_WHILE
 
 Floats = npt.NDArray[np.float64]
 
@@ -45,8 +46,11 @@ class CondensedBlocks(Protocol):
     def update(self, A: PETSc.Mat) -> None:
         """Condense the current Jacobian into K."""
 
-    def eliminate(self, b: Floats) -> Floats:
-        """Return -Bᵀ D⁻¹ b_l on local displacement dofs, for this rank's unknowns b."""
+    def project(self) -> bool:
+        """Put a positive semi-definite stand-in into K, if there is one. Collective."""
+
+    def eliminate(self, b: Floats, g: Floats) -> None:
+        """Add -Bᵀ D⁻¹ b_l to g on local displacement dofs, for this rank's unknowns b."""
 
     def recover(self, b: Floats, u: Floats, x: Floats) -> None:
         """Put δl = D⁻¹ (b_l - B δu) into this rank's unknowns x; u on local dofs."""
@@ -130,11 +134,15 @@ class CellBlocks:
             np.concatenate([values[self._from_uu], condensed.ravel()]), PETSc.InsertMode.INSERT
         )
 
-    def eliminate(self, b: Floats) -> Floats:
-        """Return -Bᵀ D⁻¹ b_l on local displacement dofs, for this rank's unknowns b."""
+    def project(self) -> bool:
+        """The parts of J_uu are summed already, so that no cell's can be projected."""
+        return False
+
+    def eliminate(self, b: Floats, g: Floats) -> None:
+        """Add -Bᵀ D⁻¹ b_l to g on local displacement dofs, for this rank's unknowns b."""
         D_b = np.linalg.solve(self._D, b[self._l_rows][:, :, None])[:, :, 0]
         parts = np.einsum("kij,ki->kj", self._B, D_b)
-        return -np.bincount(self._u_dofs.ravel(), parts.ravel(), self._local_u_dofs)
+        g -= np.bincount(self._u_dofs.ravel(), parts.ravel(), self._local_u_dofs)
 
     def recover(self, b: Floats, u: Floats, x: Floats) -> None:
         """Put δl = D⁻¹ (b_l - B δu) into this rank's unknowns x; u on local dofs."""
@@ -142,12 +150,42 @@ class CellBlocks:
         x[self._l_rows] = np.linalg.solve(self._D, right)[:, :, 0]
 
 
+class NothingToEliminate:
+    """The blocks of a problem in the displacement alone, whose Jacobian is K itself."""
+
+    def __init__(self, A: PETSc.Mat, project: Callable[[], bool] = lambda: False) -> None:
+        """Keep the Jacobian and what makes it positive semi-definite, if there is that."""
+        self.K = A
+        self._project = project
+
+    def update(self, A: PETSc.Mat) -> None:
+        """Nothing."""
+
+    def project(self) -> bool:
+        """Put a positive semi-definite stand-in into K, if there is one. Collective."""
+        return self._project()
+
+    def eliminate(self, b: Floats, g: Floats) -> None:
+        """Nothing."""
+
+    def recover(self, b: Floats, u: Floats, x: Floats) -> None:
+        """Nothing."""
+
+
 class CondensedSolver:
     """A PETSc Python preconditioner that solves the block system through K.
+
+    An iterative solver's preconditioner is kept from one Newton iteration to the next as long as it
+    serves. Where conjugate gradients meet negative curvature, or do not converge, the system is
+    solved with a positive semi-definite stand-in for K if the blocks have one, else by LDLᵀ.
 
     Attributes:
         ksp: The solver of the condensed system, with options prefix `<problem's>condensed_`.
         iterations: Linear iterations since the last `start`.
+        seconds: Wall time since then by phase: "condensation", "setup" of the preconditioner,
+            "solve".
+        notes: What was done since then about a K that conjugate gradients did not solve with, by
+            the number of the Newton iteration.
     """
 
     def __init__(
@@ -178,6 +216,8 @@ class CondensedSolver:
         self._g, self._z = create_vector(self._V), create_vector(self._V)
         self.ksp = PETSc.KSP().create(self._V.mesh.comm)
         self.ksp.setOptionsPrefix(f"{prefix}condensed_")
+        self._keep = False
+        self._fresh_cost = 0.0
         self.start()
 
     @property
@@ -189,46 +229,117 @@ class CondensedSolver:
     def start(self) -> None:
         """Begin a new nonlinear solve."""
         self.iterations = 0
-        self.seconds = 0.0
+        self.seconds = {"condensation": 0.0, "setup": 0.0, "solve": 0.0}
+        self.notes: dict[int, str] = {}
+        self._newton_iteration = 0
+        self._last_norm = 0.0
+
+    def restart(self) -> None:
+        """Begin again from the start of a nonlinear solve."""
+        self._keep = False
         self._last_norm = 0.0
 
     def setUp(self, pc: PETSc.PC) -> None:
         """Condense the current Jacobian. Called by PETSc."""
-        start = time.perf_counter()
         A, _ = pc.getOperators()
-        if self._blocks is None:
-            self._blocks = self._make_blocks(A)
-            self.K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-            self.K.setNearNullSpace(rigid_body_modes(self._V))
-            self.ksp.setOperators(self.K)
-            self.ksp.setFromOptions()
-        try:
-            self._blocks.update(A)
-        except np.linalg.LinAlgError:
-            # A singular local block: no condensed system, so no step.
-            pc.setFailedReason(PETSc.PC.FailedReason.FACTOR_NUMERIC_ZEROPIVOT)
-        self.seconds += time.perf_counter() - start
+        with self._timed("condensation"):
+            if self._blocks is None:
+                self._blocks = self._make_blocks(A)
+                self.K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+                self.K.setNearNullSpace(rigid_body_modes(self._V))
+                self.ksp.setOperators(self.K)
+                self.ksp.setFromOptions()
+            try:
+                self._blocks.update(A)
+            except np.linalg.LinAlgError:
+                # A singular local block: no condensed system, so no step.
+                pc.setFailedReason(PETSc.PC.FailedReason.FACTOR_NUMERIC_ZEROPIVOT)
 
     def apply(self, pc: PETSc.PC, b: PETSc.Vec, x: PETSc.Vec) -> None:
         """Solve with the block system. Called by PETSc."""
         assert self._blocks is not None
+        self._newton_iteration += 1
         self._set_tolerance(b.norm())
         owned = self._g.getLocalSize()
         right = b.array_r
-        with self._g.localForm() as g:
-            local = g.array_w
-            local[:] = self._blocks.eliminate(right)
-            local[:owned] += right[:owned]
-        self._g.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
-        self.ksp.solve(self._g, self._z)
-        self.iterations += self.ksp.getIterationNumber()
-        if self.ksp.getConvergedReason() <= 0:
+        with self._timed("condensation"):
+            with self._g.localForm() as g:
+                local = g.array_w
+                local[:] = 0.0
+                self._blocks.eliminate(right, local)
+                local[:owned] += right[:owned]
+            self._g.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
+        if not self._solve():
             pc.setFailedReason(PETSc.PC.FailedReason.SUBPC_ERROR)
-        self._z.ghostUpdate(PETSc.InsertMode.INSERT, PETSc.ScatterMode.FORWARD)
-        solution = x.array_w
-        with self._z.localForm() as z:
-            solution[:owned] = z.array_r[:owned]
-            self._blocks.recover(right, z.array_r, solution)
+        with self._timed("condensation"):
+            self._z.ghostUpdate(PETSc.InsertMode.INSERT, PETSc.ScatterMode.FORWARD)
+            solution = x.array_w
+            with self._z.localForm() as z:
+                solution[:owned] = z.array_r[:owned]
+                self._blocks.recover(right, z.array_r, solution)
+
+    def _solve(self) -> bool:
+        """Solve with K, or with what may stand for it; whether that succeeded."""
+        assert self._blocks is not None
+        kept = self._keep
+        if self._solved(keep=kept) or (kept and self._solved(keep=False)):
+            return True
+        self._keep = False
+        if self.ksp.getType() == PETSc.KSP.Type.PREONLY:
+            return False
+        with self._timed("condensation"):
+            projected = self._blocks.project()
+        reason = self.ksp.getConvergedReason()
+        if projected:
+            self._note(reason, "projected tangent")
+            solved = self._solved(keep=False)
+            self._keep = False
+            return solved
+        if self.K.size[0] > FACTORISE_UP_TO:
+            return False
+        self._note(reason, "LDLᵀ")
+        return self._factorised()
+
+    def _solved(self, *, keep: bool) -> bool:
+        """Whether the iterative or direct solver in `ksp` solves with K as it is."""
+        ksp = self.ksp
+        ksp.getPC().setReusePreconditioner(keep)
+        with self._timed("setup"):
+            ksp.setUp()
+        with self._timed("solve"):
+            ksp.solve(self._g, self._z)
+        its = ksp.getIterationNumber()
+        self.iterations += its
+        solved = bool(ksp.getConvergedReason() > 0)
+        if ksp.getType() != PETSc.KSP.Type.PREONLY:
+            cost = its / -np.log10(ksp.getTolerances()[0])
+            if not keep:
+                self._fresh_cost = cost
+            self._keep = solved and cost <= KEEP_WHILE * self._fresh_cost
+        return solved
+
+    def _factorised(self) -> bool:
+        direct = PETSc.KSP().create(self.ksp.comm)
+        direct.setOperators(self.K)
+        direct.setType(PETSc.KSP.Type.PREONLY)
+        pc = direct.getPC()
+        pc.setType(PETSc.PC.Type.CHOLESKY)
+        pc.setFactorSolverType(PETSc.Mat.SolverType.MUMPS)
+        with self._timed("setup"):
+            direct.setUp()
+        with self._timed("solve"):
+            direct.solve(self._g, self._z)
+        solved = direct.getConvergedReason() > 0
+        direct.destroy()
+        return bool(solved)
+
+    def _note(self, reason: int, remedy: str) -> None:
+        indefinite = (
+            PETSc.KSP.ConvergedReason.DIVERGED_INDEFINITE_MAT,
+            PETSc.KSP.ConvergedReason.DIVERGED_INDEFINITE_PC,
+        )
+        what = "negative curvature" if reason in indefinite else "no convergence of CG"
+        self.notes[self._newton_iteration] = f"{what}: {remedy}"
 
     def _set_tolerance(self, norm: float) -> None:
         """Solve as exactly as this Newton step can use (Eisenstat and Walker, 1996, choice 2)."""
@@ -236,6 +347,12 @@ class CondensedSolver:
         ratio = norm / self._last_norm if self._last_norm > 0.0 else 1.0
         self.ksp.setTolerances(rtol=float(np.clip(ratio ** ((1 + 5**0.5) / 2), tight, loose)))
         self._last_norm = norm
+
+    @contextmanager
+    def _timed(self, phase: str) -> Iterator[None]:
+        start = time.perf_counter()
+        yield
+        self.seconds[phase] += time.perf_counter() - start
 
 
 def rigid_body_modes(V: fem.FunctionSpace) -> PETSc.NullSpace:

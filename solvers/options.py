@@ -7,7 +7,7 @@ from collections.abc import Mapping
 Options = Mapping[str, str | int | float | bool | None]
 
 NEWTON: Options = {
-    # Full steps: exact mixed Newton needs no line search where it converges at all.
+    # Full steps; `MixedProblem` puts PETSc's "l2" search in their place where they diverge.
     "snes_linesearch_type": "basic",
     # Relative to the first residual of the solve; one quadratic step below what users look at.
     "snes_rtol": 1e-10,
@@ -18,6 +18,15 @@ NEWTON: Options = {
     "snes_max_it": 50,
 }
 """Newton's method on several fields."""
+
+PROJECTED: Options = {
+    **NEWTON,
+    # The tangent gives a direction of descent; Armijo's condition on the energy.
+    "snes_linesearch_type": "bt",
+    "snes_linesearch_order": 1,
+    "snes_max_it": 200,
+}
+"""Projected Newton's method on the displacement alone."""
 
 BACKTRACKING: Options = {
     **NEWTON,
@@ -68,6 +77,18 @@ CONDENSED_CG: Options = {
 
 DIRECT_UP_TO = 30_000
 """Displacement degrees of freedom up to which a condensed system is factorised."""
+
+FACTORISE_UP_TO = 300_000
+"""Displacement degrees of freedom up to which LDLᵀ replaces CG where CG fails."""
+
+KEEP_WHILE = 1.5
+"""A preconditioner is kept while CG takes at most this many times the iterations of a new one."""
+
+DIVERGING = 100.0
+"""Growth of the residual past that of the first iteration that tells full steps diverge."""
+
+ENERGY_RESOLVED = 1e-9
+"""Relative change of the energy below which a line search on it sees rounding error."""
 
 FORCING_LIMITS = (1e-4, 1e-8)
 """Loosest and tightest relative tolerance of an iterative solve inside a Newton step."""

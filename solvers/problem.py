@@ -6,7 +6,7 @@ import itertools
 import logging
 import time
 import weakref
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from typing import Any
@@ -23,15 +23,15 @@ from ufl.algorithms import expand_derivatives
 
 from forms import CellData
 from solvers import options as defaults
-from solvers.compiled import CellKernel, CompiledProblem, KernelBlocks
+from solvers.compiled import CellKernel, CompiledProblem, KernelBlocks, weakly
 from solvers.condensation import (
     CellBlocks,
     CondensedBlocks,
     CondensedSolver,
-    rigid_body_modes,
+    NothingToEliminate,
 )
 from solvers.layout import BlockLayout
-from solvers.options import SOLVERS, Options
+from solvers.options import ENERGY_RESOLVED, SOLVERS, Options
 from solvers.result import ConvergenceError, SolveResult
 
 logger = logging.getLogger("mixed_fem")
@@ -51,7 +51,7 @@ class MixedProblem:
         fields: The unknowns.
         problem: The `dolfinx.fem.petsc.NonlinearProblem`, or with a kernel what stands in its
             place; its SNES is `problem.solver`.
-        condensed: The condensed system with `solver="condensed"` and cell-local fields, else None.
+        condensed: The condensed system with `solver="condensed"`, else None.
         scales: Unit of each field in the scaled system, found at the first solve.
     """
 
@@ -63,6 +63,7 @@ class MixedProblem:
         *,
         solver: str = "condensed",
         kernel: CellKernel | None = None,
+        projected: bool = False,
         options: Options | None = None,
         jit_options: dict[str, Any] | None = None,
     ) -> None:
@@ -76,11 +77,14 @@ class MixedProblem:
             solver: A name in `SOLVERS`.
             kernel: A compiled kernel (`forms.kernels`) for a part of the energy, which makes up
                 the same Newton system faster; for `solver="condensed"` only.
+            projected: Newton's method with the kernel's positive semi-definite tangent and Armijo's
+                condition on the energy (Teran et al., 2005), for the displacement alone.
             options: PETSc options that override the defaults of Newton's method and of `solver`.
             jit_options: DOLFINx's options for compiling forms.
 
         Raises:
-            ValueError: An unknown solver, or an energy that is not a functional of the fields.
+            ValueError: An unknown solver, an energy that is not a functional of the fields, or
+                options that do not go together.
         """
         if solver not in SOLVERS:
             raise ValueError(f"solver is {solver!r}; available: {', '.join(SOLVERS)}")
@@ -88,6 +92,8 @@ class MixedProblem:
             raise ValueError("the energy has test or trial functions; it must be a functional")
         if kernel is not None and solver != "condensed":
             raise ValueError(f'solver is {solver!r}; a kernel goes with "condensed" only')
+        if projected and (kernel is None or len(fields) > 1):
+            raise ValueError("projected=True needs a kernel, and the displacement alone as field")
         wanted = fields if kernel is None else fields[:1]
         missing = [f.name for f in wanted if f not in energy.coefficients()]
         if missing:
@@ -108,81 +114,129 @@ class MixedProblem:
         if kernel is None:
             self.problem = _nonlinear_problem(energy, self.fields, bcs, prefix, jit_options)
         else:
-            self.problem = CompiledProblem(energy, self.fields, bcs, kernel, prefix)
+            self.problem = CompiledProblem(
+                energy, self.fields, bcs, kernel, prefix, projected=projected
+            )
         logger.info("compiled in %.1f s", time.perf_counter() - start)
 
         snes = self.problem.solver
-        _set_options(self, prefix, {**_default_options(self.fields, solver), **(options or {})})
+        ours = _default_options(self.fields, solver, projected)
+        _set_options(self, prefix, {**ours, **(options or {})})
         self.condensed: CondensedSolver | None = None
-        if solver == "condensed" and len(self.fields) > 1:
-            self.condensed = CondensedSolver(self.fields, prefix, _weakly(self._make_blocks))
+        if solver == "condensed":
+            self.condensed = CondensedSolver(self.fields, prefix, weakly(self._make_blocks))
             pc = snes.getKSP().getPC()
             pc.setType(PETSc.PC.Type.PYTHON)
             pc.setPythonContext(self.condensed)
-        elif solver == "condensed":
-            self.problem.A.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-            self.problem.A.setNearNullSpace(rigid_body_modes(self.fields[0].function_space))
         snes.setFromOptions()
+        search = snes.getLineSearch().getType()
+        if kernel is not None and len(self.fields) > 1 and search == "bt":
+            raise ValueError(
+                'the line search "bt" multiplies by the block Jacobian, which is not assembled '
+                'with a kernel; choose "l2" or "cp", or no kernel'
+            )
+        self._may_search = len(self.fields) > 1 and search == "basic"
+        self._watch = False
+        self._growth_limit = snes.getDivergenceTolerance()
         # PETSc must not keep this object alive, which keeps PETSc's objects alive.
         _, (assemble, _args, kwargs) = snes.getFunction()
         self._assemble_residual = partial(assemble, **kwargs)
-        snes.setFunction(_weakly(self._residual), self.problem.b)
+        snes.setFunction(weakly(self._residual), self.problem.b)
         A, P, (assemble, _args, kwargs) = snes.getJacobian()
         self._assemble_jacobian = partial(assemble, **kwargs)
-        snes.setJacobian(_weakly(self._jacobian), A, P)
-        snes.setMonitor(_weakly(self._monitor))
+        snes.setJacobian(weakly(self._jacobian), A, P)
+        snes.setMonitor(weakly(self._monitor))
+        self._energies: list[float] = []
+        if projected:
+            snes.setObjective(weakly(self._objective))
+            snes.setUpdate(weakly(self._choose_search))
         # D: the scale of each unknown; x: the unscaled unknowns, as DOLFINx's callbacks want them.
         self._D = self.problem.x.duplicate()
         self._x = self.problem.x.duplicate()
+        self._before = [np.empty_like(f.x.array) for f in self.fields]
 
     def solve(self) -> SolveResult:
         """Solve from the current values of the fields, and put the solution there.
+
+        Mixed Newton takes full steps. If they diverge, it starts again with a line search that
+        minimises the residual along each step; the result notes it.
 
         Raises:
             ConvergenceError: Newton's method or the linear solver failed. The fields keep the
                 values they had.
         """
         start = time.perf_counter()
-        before = [f.x.array.copy() for f in self.fields]
+        for f, values in zip(self.fields, self._before, strict=True):
+            values[:] = f.x.array
         if isinstance(self.problem, CompiledProblem):
             self.problem.meet_conditions()
-        self._norms, self._residuals = [], []
+        self._norms, self._residuals, self._energies = [], [], []
         self._timings = {"residual": 0.0, "jacobian": 0.0}
         if not self._scaled:
             self._set_scales()
         if self.condensed is not None:
             self.condensed.start()
         snes, x = self.problem.solver, self.problem.x
-        assign(self.fields, x)
-        x.pointwiseDivide(x, self._D)
+        self._from_fields(x)
         snes.setTolerances(atol=self._round_off())
-        snes.solve(None, x)
+        iterations, notes = self._newton(x)
         x.pointwiseMult(x, self._D)
         self._to_fields(x)
         self._timings["total"] = time.perf_counter() - start
         krylov_iterations = snes.getLinearSolveIterations()
-        self._timings["condensation"] = 0.0
         if self.condensed is not None:
             krylov_iterations = self.condensed.iterations
-            self._timings["condensation"] = self.condensed.seconds
-        self._timings["linear"] = self._timings["total"] - sum(
-            self._timings[phase] for phase in ("residual", "jacobian", "condensation")
-        )
+            notes = self.condensed.notes | notes
+            self._timings |= self.condensed.seconds
+        else:
+            rest = self._timings["total"] - self._timings["residual"] - self._timings["jacobian"]
+            self._timings["solve"] = rest
         reason = snes.getConvergedReason()
         result = SolveResult(
-            iterations=snes.getIterationNumber(),
+            iterations=iterations,
             krylov_iterations=krylov_iterations,
             reason=_REASONS[reason],
             norms=self._norms,
             residuals=self._residuals,
             timings=self._timings,
+            notes=notes,
         )
         if reason <= 0:
             self._scaled = False
-            for f, values in zip(self.fields, before, strict=True):
-                f.x.array[:] = values
+            self._restore()
             raise ConvergenceError(result)
         return result
+
+    def _newton(self, x: PETSc.Vec) -> tuple[int, dict[int, str]]:
+        """Take full steps from x; if they diverge, start again with a line search.
+
+        Returns:
+            The number of iterations, and what there is to note about one of them.
+        """
+        snes = self.problem.solver
+        if not self._may_search:
+            snes.solve(None, x)
+            return snes.getIterationNumber(), {}
+        self._watch = True
+        snes.solve(None, x)
+        self._watch = False
+        snes.setDivergenceTolerance(self._growth_limit)
+        iterations = snes.getIterationNumber()
+        reason = snes.getConvergedReason()
+        if reason > 0 or reason == PETSc.SNES.ConvergedReason.DIVERGED_MAX_IT:
+            return iterations, {}
+        self._restore()
+        if isinstance(self.problem, CompiledProblem):
+            self.problem.meet_conditions()
+        self._from_fields(x)
+        if self.condensed is not None:
+            self.condensed.restart()
+        search = snes.getLineSearch()
+        search.setType("l2")
+        snes.solve(None, x)
+        search.setType("basic")
+        note = "full steps diverge: from the start again, with a line search"
+        return iterations + snes.getIterationNumber(), {iterations + 1: note}
 
     def refresh(self) -> None:
         """Recompute all per-cell data from the current fields, for evaluating an expression."""
@@ -191,8 +245,25 @@ class MixedProblem:
 
     def _make_blocks(self, A: PETSc.Mat) -> CondensedBlocks:
         if isinstance(self.problem, CompiledProblem):
-            return KernelBlocks(self.problem, self.scales)
+            if len(self.fields) > 1:
+                return KernelBlocks(self.problem, self.scales)
+            return NothingToEliminate(A, weakly(self._project))
+        if len(self.fields) == 1:
+            return NothingToEliminate(A)
         return CellBlocks(self._layout, A, self.fields[0].function_space.dofmap.index_map_bs)
+
+    def _project(self) -> bool:
+        assert isinstance(self.problem, CompiledProblem)
+        return self.problem.project(float(self.scales[0]))
+
+    def _restore(self) -> None:
+        """Put the values from before the solve into the fields."""
+        for f, values in zip(self.fields, self._before, strict=True):
+            f.x.array[:] = values
+
+    def _from_fields(self, x: PETSc.Vec) -> None:
+        assign(self.fields, x)
+        x.pointwiseDivide(x, self._D)
 
     def _to_fields(self, x: PETSc.Vec) -> None:
         x.ghostUpdate(PETSc.InsertMode.INSERT, PETSc.ScatterMode.FORWARD)
@@ -210,6 +281,23 @@ class MixedProblem:
             self._assemble_jacobian(snes, self._x, A, P)
             A.diagonalScale(self._D, self._D)
 
+    def _objective(self, snes: PETSc.SNES, x: PETSc.Vec) -> float:
+        """The energy at scaled unknowns, for the line search."""
+        assert isinstance(self.problem, CompiledProblem)
+        with self._evaluation("residual", x):
+            energy = self.problem.energy()
+        return energy
+
+    def _choose_search(self, snes: PETSc.SNES, iteration: int) -> None:
+        """Take full steps once rounding error hides what a step does to the energy."""
+        assert isinstance(self.problem, CompiledProblem)
+        self._energies.append(self.problem.energy())
+        search = snes.getLineSearch()
+        if iteration == 0:
+            search.setFromOptions()
+        elif abs(np.diff(self._energies[-2:])[0]) < ENERGY_RESOLVED * abs(self._energies[-1]):
+            search.setType("basic")
+
     @contextmanager
     def _evaluation(self, phase: str, x: PETSc.Vec) -> Iterator[None]:
         """Unscale the unknowns, put them into the fields, refresh the per-cell data; take time."""
@@ -221,6 +309,11 @@ class MixedProblem:
         self._timings[phase] += time.perf_counter() - start
 
     def _monitor(self, snes: PETSc.SNES, iteration: int, norm: float) -> None:
+        if iteration == 0 and self._norms:
+            return  # the start again
+        if iteration == 1 and self._watch:
+            growth = max(1.0, norm / self._residuals[0])
+            snes.setDivergenceTolerance(min(self._growth_limit, defaults.DIVERGING * growth))
         b = self.problem.b.array_r / self._D.array_r
         sums = np.array([np.sum(part**2) for part in self._layout.split(b)])
         norms = np.sqrt(self._layout.comm.allreduce(sums, op=MPI.SUM))
@@ -284,18 +377,6 @@ class MixedProblem:
         return float(np.finfo(float).eps * norm)
 
 
-def _weakly[**P, T](method: Callable[P, T]) -> Callable[P, T]:
-    """A function that calls a bound method without keeping its object alive."""
-    reference = weakref.WeakMethod(method)
-
-    def call(*args: P.args, **kwargs: P.kwargs) -> T:
-        bound = reference()
-        assert bound is not None
-        return bound(*args, **kwargs)
-
-    return call
-
-
 def _nonlinear_problem(
     energy: ufl.Form,
     fields: Sequence[fem.Function],
@@ -336,17 +417,17 @@ def _set_options(owner: MixedProblem, prefix: str, options: Options) -> None:
     weakref.finalize(owner, remove)
 
 
-def _default_options(fields: Sequence[fem.Function], solver: str) -> Options:
+def _default_options(fields: Sequence[fem.Function], solver: str, projected: bool) -> Options:
     newton = defaults.NEWTON if len(fields) > 1 else defaults.BACKTRACKING
+    if projected:
+        newton = defaults.PROJECTED
     if solver == "direct":
         return {**newton, **defaults.DIRECT}
     dofmap = fields[0].function_space.dofmap
     small = dofmap.index_map.size_global * dofmap.index_map_bs <= defaults.DIRECT_UP_TO
     condensed = defaults.CONDENSED_DIRECT if small else defaults.CONDENSED_CG
-    if len(fields) > 1:
-        prefixed = {f"condensed_{key}": value for key, value in condensed.items()}
-        return {**newton, **defaults.CONDENSED, **prefixed}
-    return {**newton, **condensed, **({} if small else {"snes_ksp_ew": True})}
+    prefixed = {f"condensed_{key}": value for key, value in condensed.items()}
+    return {**newton, **defaults.CONDENSED, **prefixed}
 
 
 def _or_none(form: ufl.Form) -> ufl.Form | None:

@@ -18,8 +18,9 @@ class SolveResult:
         residuals: The norm that Newton's method itself sees at the same points: of all residuals
             together, each scaled to make the blocks of the Jacobian comparable. Dimensionless up to
             a common factor; rates of convergence are read from it.
-        timings: Wall seconds on this rank by phase: "residual", "jacobian",
-            "condensation", "linear", "total".
+        timings: Wall seconds on this rank by phase: "residual", "jacobian", "solve", "total", and
+            with the condensed solver "condensation" and "setup".
+        notes: What the linear solver had to say, by the number of the Newton iteration.
     """
 
     iterations: int
@@ -28,6 +29,7 @@ class SolveResult:
     norms: list[dict[str, float]] = field(repr=False)
     residuals: list[float] = field(repr=False)
     timings: dict[str, float] = field(repr=False)
+    notes: dict[int, str] = field(default_factory=dict, repr=False)
 
 
 class ConvergenceError(RuntimeError):
@@ -47,7 +49,8 @@ def history_table(result: SolveResult) -> str:
     names = list(result.norms[0]) if result.norms else []
     header = f"{'it':>4}  {'residual':>9}  " + "  ".join(f"{'|r_' + n + '|':>9}" for n in names)
     rows = (
-        f"{k:4d}  {residual:9.2e}  " + "  ".join(f"{norms[n]:9.2e}" for n in names)
+        f"{k:4d}  {residual:9.2e}  "
+        + "  ".join([*(f"{norms[n]:9.2e}" for n in names), *filter(None, [result.notes.get(k)])])
         for k, (residual, norms) in enumerate(zip(result.residuals, result.norms, strict=True))
     )
     return "\n".join([header, *rows])

@@ -10,7 +10,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 import ufl
-from dolfinx import fem
+from dolfinx import fem, mesh
 
 from forms import (
     FORMULATIONS,
@@ -19,7 +19,8 @@ from forms import (
     deformation_gradient,
     displacement_field,
 )
-from solvers import MixedProblem
+from solvers import ConvergenceError, MixedProblem
+from solvers.result import history_table
 from tests.states import (
     by_field,
     dense,
@@ -32,6 +33,7 @@ from tests.states import (
 MIXED = [name for name in FORMULATIONS if name != "displacement"]
 COMPILED = [name for name, form in FORMULATIONS.items() if form.kernel is not None]
 E, NU, RHO, H = 10.0, 0.3, 2.0, 0.4
+CG = {"condensed_ksp_type": "cg", "condensed_pc_type": "gamg"}
 
 
 def build(d, formulation, material, solver="condensed", options=None, compiled=False):
@@ -125,9 +127,8 @@ def test_condensed_matrix_is_the_schur_complement(d, formulation):
 
 def test_conjugate_gradients_take_the_same_solution():
     """CG with GAMG in place of the factorisation: the same state in as many Newton steps."""
-    cg = {"condensed_ksp_type": "cg", "condensed_pc_type": "gamg"}
     states, iterations = [], []
-    for options in ({}, cg):
+    for options in ({}, CG):
         problem = build(3, "symmetric", "stable-neo-hookean", options=options)
         result = problem.solve()
         states.append(problem.fields[0].x.array.copy())
@@ -135,6 +136,107 @@ def test_conjugate_gradients_take_the_same_solution():
         assert (result.krylov_iterations > result.iterations) == bool(options)
     assert global_norm(MPI.COMM_WORLD, states[0] - states[1]) < 1e-9
     assert 3 <= iterations[1] <= iterations[0] + 1
+
+
+def pressed(compiled=False, options=None):
+    """The step from a state of high pressure, where K is indefinite, and what it noted."""
+    problem = build(3, "symmetric", "stable-neo-hookean", options=options, compiled=compiled)
+    Y = problem.fields[2]
+    Y.x.array.reshape(-1, 6)[:] = -2.0 * E * np.array([1.0, 0.0, 1.0, 0.0, 0.0, 1.0])
+    problem.problem.solver.setTolerances(max_it=1)
+    with pytest.raises(ConvergenceError, match="DIVERGED_MAX_IT") as error:
+        problem.solve()
+    result = error.value.result
+    if result.notes:
+        assert result.notes[1] in history_table(result).splitlines()[-1]
+    K = dense(problem.condensed.K)
+    return by_field(problem, problem.problem.x), result.notes, np.linalg.eigvalsh(K)[0]
+
+
+def test_negative_curvature_without_kernels():
+    """CG meets it, and LDLᵀ takes the same step as it does from the start."""
+    exact, notes, lowest = pressed()
+    assert notes == {} and lowest < 0.0
+    step, notes, _ = pressed(options=CG)
+    assert notes == {1: "negative curvature: LDLᵀ"}
+    for a, b in zip(exact, step, strict=True):
+        difference = global_norm(MPI.COMM_WORLD, a - b)
+        assert difference < 1e-9 * global_norm(MPI.COMM_WORLD, a)
+
+
+def test_negative_curvature_with_kernels():
+    """CG meets it, and takes the step of the projected tangent, which is positive definite."""
+    pytest.importorskip("numba")
+    exact, notes, lowest = pressed(compiled=True)
+    assert notes == {} and lowest < 0.0
+    step, notes, lowest = pressed(compiled=True, options=CG)
+    assert notes == {1: "negative curvature: projected tangent"} and lowest > 0.0
+    difference = global_norm(MPI.COMM_WORLD, exact[0] - step[0])
+    assert difference > 0.1 * global_norm(MPI.COMM_WORLD, step[0])
+
+
+def falling(formulation, E, h, compiled=True, **options):
+    """A soft clamped bar in a large step under gravity, where full Newton steps diverge."""
+    msh = mesh.create_box(MPI.COMM_WORLD, [(0, 0, 0), (4, 1, 1)], [12, 3, 3])
+    form = FORMULATIONS[formulation]
+    fields = form.fields(msh)
+    V = fields[0].function_space
+    psi = MATERIALS["stable-neo-hookean"](E, 0.45)
+    kinetic = BackwardEuler(fields[0], h, (0.0, -9.81, 0.0)).kinetic(1000.0) * ufl.dx
+    clamped = fem.locate_dofs_geometrical(V, lambda X: np.isclose(X[0], 0.0))
+    bcs = [fem.dirichletbc(np.zeros(3), clamped, V)]
+    if compiled:
+        kernel = form.kernel(*fields, psi)
+        return MixedProblem(kinetic, fields, bcs, kernel=kernel, **options)
+    return MixedProblem(form.density(*fields, psi) * ufl.dx + kinetic, fields, bcs, **options)
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+def test_a_line_search_takes_over_where_full_steps_diverge(compiled):
+    """Every solve of the seed's energy below ends where the displacement's Newton ends."""
+    if compiled:
+        pytest.importorskip("numba")
+    mixed = falling("symmetric", 1e5, 1.0, compiled)
+    result = mixed.solve()
+    restart = [k for k, note in result.notes.items() if "full steps diverge" in note]
+    assert len(restart) == 1 and 1 < restart[0] < result.iterations
+    assert len(result.residuals) == len(result.norms) == result.iterations + 1
+    assert max(result.residuals[: restart[0]]) > 100 * result.residuals[0]
+    assert "full steps diverge" in history_table(result)
+    classical = falling("displacement", 1e5, 1.0, compiled)
+    classical.solve()
+    u, v = (problem.fields[0].x.array for problem in (mixed, classical))
+    assert global_norm(MPI.COMM_WORLD, u - v) < 1e-7 * global_norm(MPI.COMM_WORLD, v)
+    # The next solve tries full steps again.
+    assert falling("symmetric", 1e7, 0.1, compiled).solve().notes == {}
+
+
+def test_projected_newton_reaches_the_same_state():
+    """A descent on the energy to its minimum, by other steps than the exact tangent's."""
+    pytest.importorskip("numba")
+    states, iterations = [], []
+    for projected in (False, True):
+        problem = falling("displacement", 1e7, 0.1, projected=projected)
+        iterations.append(problem.solve().iterations)
+        states.append(problem.fields[0].x.array.copy())
+    difference = global_norm(MPI.COMM_WORLD, states[0] - states[1])
+    assert difference < 1e-8 * global_norm(MPI.COMM_WORLD, states[0])
+    assert iterations[0] != iterations[1]
+
+
+@pytest.mark.parametrize(
+    ("formulation", "compiled", "options", "message"),
+    [
+        ("displacement", False, {"projected": True}, "projected=True needs a kernel"),
+        ("symmetric", True, {"projected": True}, "the displacement alone as field"),
+        ("symmetric", True, {"options": {"snes_linesearch_type": "bt"}}, 'choose "l2" or "cp"'),
+    ],
+)
+def test_what_does_not_go_together_is_refused(formulation, compiled, options, message):
+    if compiled:
+        pytest.importorskip("numba")
+    with pytest.raises(ValueError, match=message):
+        falling(formulation, 1e7, 0.1, compiled, **options)
 
 
 def test_an_energy_of_ones_own():

@@ -75,7 +75,8 @@ def scene(path: Path) -> Scene:
 def table(path: Path) -> dict[str, np.ndarray]:
     with path.open(newline="") as file:
         rows = list(csv.DictReader(file))
-    return {key: np.array([float(row[key]) for row in rows]) for key in rows[0]}
+    numbers = [key for key in rows[0] if key != "note"]
+    return {key: np.array([float(row[key]) for row in rows]) for key in numbers}
 
 
 def last_fields(folder: Path) -> tuple[float, float]:
