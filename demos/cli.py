@@ -15,7 +15,7 @@ from typing import Any, NoReturn
 
 from mpi4py import MPI
 
-from demos import compare
+from demos import compare, studies
 from demos.output import OutputError
 from demos.progress import Screen
 from demos.run import run
@@ -45,7 +45,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         given, rest = (parser := _parser()).parse_known_args(argv)
         command: Callable[[argparse.Namespace], int] = given.command
-        if rest and command is not _later:
+        if rest:
             parser.error(f"unrecognized arguments: {' '.join(rest)}")
         return command(given)
     except (UsageError, SceneError, OutputError) as error:
@@ -64,14 +64,12 @@ def _list(_: argparse.Namespace) -> int:
         "solvers": dict(SOLVERS),
         "kernels": KERNELS,
         "scenes": {name: load(COMM, name).description for name in built_in()},
-        "studies": {},
+        "studies": {name: study.description for name, study in studies.STUDIES.items()},
     }
     for section, entries in sections.items():
         screen.line(section)
         for name, description in entries.items():
             screen.line(f"  {name:<22}{description}")
-        if not entries:
-            screen.line("  none yet")
     return 0
 
 
@@ -92,8 +90,27 @@ def _compare(given: argparse.Namespace) -> int:
     return compare.run(COMM, given.json)
 
 
-def _later(given: argparse.Namespace) -> int:
-    raise UsageError(f"{given.name} is not available yet; available: list, run, compare")
+def _study(given: argparse.Namespace) -> int:
+    study = studies.STUDIES.get(given.study)
+    if study is None:
+        raise UsageError(f"study {given.study}: unknown; available: {', '.join(studies.STUDIES)}")
+    ranks = f"-{COMM.size}-ranks" if COMM.size > 1 else ""
+    out = given.out if given.out is not None else Path("results") / f"{study.name}{ranks}"
+    screen = Screen(COMM, sys.stderr if given.json else sys.stdout)
+    try:
+        outcome = studies.run(study, COMM, out, screen, quick=given.quick, fresh=given.fresh)
+    except studies.Interrupted as error:
+        screen.line(str(error))
+        return 130
+    if COMM.rank == 0 and given.json:
+        print((out / f"{study.name}.json").read_text("utf-8"))
+    elif COMM.rank == 0:
+        for line in study.table(outcome.records):
+            screen.line(line)
+    screen.line(f"study {study.name}: files in {out}")
+    for line in outcome.shortfalls:
+        screen.line(f"falls short: {line}")
+    return 1 if outcome.shortfalls else 0
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -149,7 +166,22 @@ def _parser() -> argparse.ArgumentParser:
     )
     comparison.set_defaults(command=_compare)
 
-    commands.add_parser("study", help="not available yet").set_defaults(command=_later)
+    student = commands.add_parser(
+        "study",
+        help="compute a grid of cases; table, files and figure",
+        description="Compute the cases of a study that no earlier run of the same sources has, and "
+        "write NAME.csv, NAME.json and, as pdf and png, a figure. Ctrl-C keeps what is done.",
+    )
+    student.add_argument("study", metavar="NAME", help="see mixed-fem list")
+    student.add_argument("--quick", action="store_true", help="a small grid, in a minute or so")
+    student.add_argument("--fresh", action="store_true", help="compute every case anew")
+    student.add_argument(
+        "--json", action="store_true", help="print one JSON document instead of the table"
+    )
+    student.add_argument(
+        "--out", metavar="DIR", type=Path, help="folder for the files (default: results/NAME)"
+    )
+    student.set_defaults(command=_study)
     return parser
 
 

@@ -57,7 +57,7 @@ class Output:
         names = [f.name for f in simulation.fields]
         residuals = [f"residual_{name}" for name in names]
         self._names = names
-        make_folder(self._comm, folder)
+        make_folder(self._comm, folder / "fields")
         _on_rank_0(self._comm, folder, lambda: _remove_former_results(folder))
         self._history = _Csv(
             self._comm,
@@ -189,7 +189,7 @@ def make_folder(comm: MPI.Comm, folder: Path) -> None:
     Raises:
         OutputError: On all ranks: the folder cannot be made or written to.
     """
-    _on_rank_0(comm, folder, lambda: (folder / "fields").mkdir(parents=True, exist_ok=True))
+    _on_rank_0(comm, folder, lambda: folder.mkdir(parents=True, exist_ok=True))
 
 
 def _remove_former_results(folder: Path) -> None:

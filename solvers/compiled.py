@@ -114,6 +114,12 @@ class CompiledProblem:
         self.solver.setFunction(self._assemble_residual, self.b)
         self.solver.setJacobian(self._assemble_jacobian, self.A)
 
+    def __del__(self) -> None:
+        """Destroy PETSc's objects, as `dolfinx.fem.petsc.NonlinearProblem` does."""
+        for name in ("solver", "A", "K", "x", "b"):
+            if hasattr(self, name):
+                getattr(self, name).destroy()
+
     def _assemble_residual(self, snes: PETSc.SNES, x: PETSc.Vec, b: PETSc.Vec) -> None:
         r_u = self._r_u.array
         for values in (r_u, *self._r_l):
@@ -209,6 +215,7 @@ class _Shell:
         scale = problem.K.createVecLeft()
         scale.array_w[:] = left.array_r[: scale.getLocalSize()]
         problem.K.diagonalScale(scale, scale)
+        scale.destroy()
 
 
 class KernelBlocks:

@@ -220,6 +220,14 @@ class CondensedSolver:
         self._fresh_cost = 0.0
         self.start()
 
+    def __del__(self) -> None:
+        """Destroy PETSc's objects: left to Python, PETSc keeps them and their communicator."""
+        for name in ("ksp", "_g", "_z"):
+            if hasattr(self, name):
+                getattr(self, name).destroy()
+        if getattr(self, "_blocks", None) is not None:
+            self.K.destroy()
+
     @property
     def K(self) -> PETSc.Mat:
         """The condensed matrix, in the problem's scaled unknowns; after the first iteration."""

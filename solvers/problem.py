@@ -8,7 +8,7 @@ import time
 import weakref
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from functools import partial
+from functools import partial, singledispatchmethod
 from typing import Any
 
 from mpi4py import MPI
@@ -20,6 +20,7 @@ import ufl
 from dolfinx import fem
 from dolfinx.fem.petsc import NonlinearProblem, assign
 from ufl.algorithms import expand_derivatives
+from ufl.corealg.dag_traverser import DAGTraverser
 
 from forms import CellData
 from solvers import options as defaults
@@ -154,6 +155,12 @@ class MixedProblem:
         self._D = self.problem.x.duplicate()
         self._x = self.problem.x.duplicate()
         self._before = [np.empty_like(f.x.array) for f in self.fields]
+
+    def __del__(self) -> None:
+        """Destroy PETSc's objects; the other owners destroy theirs."""
+        for name in ("_D", "_x"):
+            if hasattr(self, name):
+                getattr(self, name).destroy()
 
     def solve(self) -> SolveResult:
         """Solve from the current values of the fields, and put the solution there.
@@ -392,7 +399,7 @@ def _nonlinear_problem(
         [_or_none(ufl.derivative(r, f, du)) for f, du in zip(fields, trials, strict=True)]
         for r in residual
     ]
-    return NonlinearProblem(
+    problem = NonlinearProblem(
         residual,
         fields,
         J=jacobian,
@@ -401,6 +408,22 @@ def _nonlinear_problem(
         petsc_options_prefix=prefix,
         jit_options=jit_options,
     )
+    _forget_traversals()
+    return problem
+
+
+def _forget_traversals() -> None:
+    """Free what UFL's algorithms keep alive: forms, and so meshes and their communicators.
+
+    They are single-dispatch methods, whose cache in Python 3.13 holds each object that called them.
+    MPICH has 2048 communicators; a study would run out of them.
+    """
+    kinds = [DAGTraverser]
+    for kind in kinds:
+        kinds += kind.__subclasses__()
+        for attribute in vars(kind).values():
+            if isinstance(attribute, singledispatchmethod):
+                getattr(attribute, "_method_cache", {}).clear()
 
 
 def _set_options(owner: MixedProblem, prefix: str, options: Options) -> None:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import sys
 
 from mpi4py import MPI
+from petsc4py import PETSc
 
 import basix.ufl
 import numpy as np
 import pytest
 import ufl
 from dolfinx import fem, la, mesh
-from dolfinx.fem.petsc import assemble_matrix
+from dolfinx.fem.petsc import assemble_matrix, create_vector
 
 from forms import FORMULATIONS, MATERIALS, BackwardEuler, CellData, Material, mixed_fields
 from forms.discrete import MATERIALS as DISCRETE
@@ -74,6 +75,30 @@ def test_residual_and_energy_are_ufls(d, material):
         COMM.allreduce(fem.assemble_scalar(fem.form(psi(fields[1]) * ufl.dx))),
         rtol=1e-12,
     )
+
+
+@both_dimensions
+@pytest.mark.parametrize("projected", [False, True])
+@pytest.mark.parametrize("formulation", ["symmetric", "displacement"])
+def test_cells_make_up_the_matrix(d, formulation, projected):
+    """v · K v is the sum over the cells."""
+    fields = FORMULATIONS[formulation].fields(small_mesh(d))
+    kernel = FORMULATIONS[formulation].kernel(*fields, MATERIALS["stable-neo-hookean"](E, NU))
+    move(fields)
+    V = fields[0].function_space
+    K = assemble_matrix(kernel.matrix_form(projected=projected))
+    K.assemble()
+    v, Kv = create_vector(V), create_vector(V)
+    v.array_w[:] = np.random.default_rng(COMM.rank).standard_normal(v.local_size)
+    K.mult(v, Kv)
+    v.ghostUpdate(PETSc.InsertMode.INSERT, PETSc.ScatterMode.FORWARD)
+    with v.localForm() as local:
+        dofs = V.dofmap.list[: V.mesh.topology.index_map(d).size_local]
+        on_cells = local.array_r.reshape(-1, d)[dofs].reshape(len(dofs), -1)
+    half = len(dofs) // 2
+    parts = [kernel.matrices(c, projected=projected) for c in (slice(half), slice(half, None))]
+    by_cells = np.einsum("ki,kij,kj", on_cells, np.concatenate(parts), on_cells)
+    assert np.isclose(COMM.allreduce(by_cells), v.dot(Kv), rtol=1e-12)
 
 
 @both_dimensions

@@ -134,6 +134,25 @@ class Cells:
         )
         return fem.Form(form)
 
+    def matrices(
+        self, projected: bool, coefficients: Sequence[fem.Function], cells: slice
+    ) -> Floats:
+        """Evaluate the kernel of `form` on some of the owned cells, shape (cells, n, n)."""
+        from forms.kernels.compile import call_kernel  # needs numba, which is optional
+
+        corners, x = self.coordinates
+        X = x[corners[cells]].reshape(-1, 3 * corners.shape[1])
+        packed = []
+        for f in coefficients:
+            dofmap = f.function_space.dofmap
+            dofs = dofmap.list[: len(self.parameters)][cells]
+            packed.append(f.x.array.reshape(-1, dofmap.bs)[dofs])
+        w = np.hstack([*(p.reshape(len(X), -1) for p in packed), self.parameters[cells]])
+        n = self.dimension * self.u_dofs.shape[1]
+        A = np.zeros((len(X), n, n))
+        call_kernel(self.code.matrix_kernel(projected), w, X, A.reshape(len(X), n * n))
+        return A
+
 
 def _named(psi: MaterialLike) -> tuple[str, npt.ArrayLike, npt.ArrayLike]:
     if isinstance(psi, tuple):

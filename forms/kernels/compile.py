@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import functools
 from collections.abc import Callable
 from typing import Any, cast
@@ -54,6 +55,23 @@ def cell_kernel(function: Callable[..., None]) -> Any:
         types.CPointer(types.void),
     )
     return numba.cfunc(signature, cache=True, **OPTIONS)(function)
+
+
+def call_kernel(address: int, w: Array, X: Array, A: Array) -> None:
+    """Call a kernel of `cell_kernel` for each row of coefficients, coordinates and matrices."""
+    array, unused = ctypes.POINTER(ctypes.c_double), ctypes.c_size_t
+    kernel = ctypes.CFUNCTYPE(None, array, array, unused, array, *(unused,) * 3)(address)
+    _calls()(kernel, w, X, A)
+
+
+@functools.cache
+def _calls() -> Any:
+    @numba.njit
+    def loop(kernel: Any, w: Array, X: Array, A: Array) -> None:
+        for k in range(len(w)):
+            kernel(A[k].ctypes, w[k].ctypes, 0, X[k].ctypes, 0, 0, 0)
+
+    return loop
 
 
 def _local_array(typing_context: Any, size: Any) -> Any:

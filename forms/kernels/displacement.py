@@ -43,6 +43,10 @@ class DisplacementKernel:
         """
         return self._cells.form(projected, [self._u])
 
+    def matrices(self, cells: slice = slice(None), *, projected: bool = False) -> Floats:
+        """Return the part of each of these owned cells in that matrix, shape (cells, n, n)."""
+        return self._cells.matrices(projected, [self._u], cells)
+
     def energy(self) -> float:
         """Return ∫ Ψ(S(F)) over the cells of this rank [J]."""
         return float(self._cells.code.energy(*self._arguments))

@@ -75,6 +75,10 @@ class SymmetricKernel:
         """
         return self._cells.form(projected, self._fields)
 
+    def matrices(self, cells: slice = slice(None), *, projected: bool = False) -> Floats:
+        """Return the part of each of these owned cells in that matrix, shape (cells, n, n)."""
+        return self._cells.matrices(projected, self._fields, cells)
+
     def eliminate(self, b_S: Floats, b_Y: Floats, b_u: Floats) -> None:
         """Add ∂Sᵀ (b_S + H w⁻¹ b_Y) to b_u."""
         cells = self._cells

@@ -1,0 +1,9 @@
+"""Studies: grids of cases with a table, files and a figure. `mixed-fem study NAME`."""
+
+from demos.studies.cost import COST
+from demos.studies.study import Interrupted, Outcome, Record, Study, run
+
+STUDIES: dict[str, Study] = {study.name: study for study in (COST,)}
+"""Studies by name."""
+
+__all__ = ["STUDIES", "Interrupted", "Outcome", "Record", "Study", "run"]

@@ -1,0 +1,314 @@
+"""`mixed-fem study cost`: what a mixed Newton iteration and step cost, beside the classical ones.
+
+The two formulations solve the same steps in turn, with the same mesh, material, linear solver and
+tolerances, both with compiled kernels. The displacement Newton comes in two variants, and the
+faster one that gets through counts: PETSc's backtracking on the residual, and the positive
+semi-definite projected tangent with Armijo's condition on the energy.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+from mpi4py import MPI
+
+import numpy as np
+import ufl
+from dolfinx import fem
+
+from demos.studies.study import Parameters, Record, Study
+from forms import FORMULATIONS, MATERIALS, BackwardEuler
+from meshes import Where, box
+from solvers import ConvergenceError, MixedProblem, SolveResult
+from solvers.options import CONDENSED_CG
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+RHO, GRAVITY, NU = 1000.0, (0.0, -9.81, 0.0), 0.45
+VARIANTS = ("mixed", "backtracking", "projected")
+PHASES = ("residual", "jacobian", "condensation", "setup", "solve")
+
+# A bar of 4 m × 1 m × 1 m: cells across, 24 n³ tetrahedra.
+SIZES = {8: 10, 12: 10, 16: 10, 26: 4, 35: 3}  # and steps
+QUICK_SIZES = {8: 10, 12: 6, 16: 4}
+BOTH_MATERIALS_AT = 16
+
+
+def grid(quick: bool) -> list[Parameters]:
+    """Meshes at one stiffness and step, then stiffnesses and steps on one mesh."""
+    cases: list[Parameters] = []
+    for n, steps in (QUICK_SIZES if quick else SIZES).items():
+        materials = ["stable-neo-hookean"]
+        if n == BOTH_MATERIALS_AT:
+            materials.append("as-rigid-as-possible")
+        cases += [_case("mesh", n, m, 1e7, 0.1, steps) for m in materials]
+    n, steps = (4, 3) if quick else (8, 5)
+    cases += [
+        _case("grid", n, "stable-neo-hookean", E, h, steps)
+        for E in (1e4, 1e5, 1e6, 1e7, 1e8, 1e9)
+        for h in (0.01, 0.1, 1.0)
+    ]
+    return cases
+
+
+def _case(kind: str, n: int, material: str, E: float, h: float, steps: int) -> Parameters:
+    names = ("kind", "tetrahedra", "n", "material", "E", "h", "steps")
+    return dict(zip(names, (kind, 24 * n**3, n, material, E, h, steps), strict=True))
+
+
+class _Run:
+    """One formulation of a case, step by step."""
+
+    def __init__(self, comm: MPI.Comm, variant: str, case: Parameters) -> None:
+        n = case["n"]
+        body = box(comm, size=(4.0, 1.0, 1.0), cells=(4 * n, n, n))
+        form = FORMULATIONS["symmetric" if variant == "mixed" else "displacement"]
+        self.fields = form.fields(body.mesh)
+        V = self.fields[0].function_space
+        psi = MATERIALS[case["material"]](case["E"], NU)
+        assert form.kernel is not None
+        self.kernel = form.kernel(*self.fields, psi)
+        self.scheme = BackwardEuler(self.fields[0], case["h"], GRAVITY)
+        clamped = fem.dirichletbc(np.zeros(3), body.dofs(V, Where(extents=(("x", "min"),))), V)
+        # The same solver on every mesh, that its growth may be seen.
+        always_cg = {f"condensed_{k}": v for k, v in CONDENSED_CG.items()}
+        self.problem = MixedProblem(
+            self.scheme.kinetic(RHO) * ufl.dx,
+            self.fields,
+            [clamped],
+            kernel=self.kernel,
+            projected=variant == "projected",
+            options=always_cg if case["kind"] == "mesh" else None,
+        )
+        self.results: list[SolveResult] = []
+        self.failure = ""
+
+    def step(self) -> None:
+        """Solve and advance, unless a step has failed."""
+        if self.failure:
+            return
+        try:
+            self.results.append(self.problem.solve())
+        except ConvergenceError as error:
+            self.failure = error.result.reason
+            return
+        self.scheme.advance()
+
+    def record(self, comm: MPI.Comm) -> Record:
+        """Medians over the steps; the slowest rank counts."""
+        r = self.results
+        values: Record = {
+            "failure": self.failure,
+            "steps_done": len(r),
+            "iterations": [result.iterations for result in r],
+            "krylov": [result.krylov_iterations for result in r],
+            "seconds": [comm.allreduce(result.timings["total"], op=MPI.MAX) for result in r],
+        }
+        for phase in PHASES:
+            each = [result.timings[phase] / result.iterations for result in r if result.iterations]
+            values[phase] = comm.allreduce(_median(each), op=MPI.MAX)
+        return values
+
+
+def compute(comm: MPI.Comm, case: Parameters) -> Record:
+    """Run the variants in turn, step by step. Collective."""
+    variants = VARIANTS if case["kind"] == "grid" else VARIANTS[:2]
+    _forget_peak()
+    runs = {variant: _Run(comm, variant, case) for variant in variants}
+    for _ in range(case["steps"]):
+        for run in runs.values():
+            comm.barrier()
+            run.step()
+    record: Record = {}
+    for variant, run in runs.items():
+        record |= {f"{variant}_{name}": value for name, value in run.record(comm).items()}
+    if case["kind"] == "mesh":
+        record["peak_memory"] = comm.allreduce(_peak_memory())
+        for variant, run in runs.items():
+            record[f"{variant}_local"] = comm.allreduce(_local_work(run), op=MPI.MAX)
+    return record
+
+
+def _local_work(run: _Run, cells: int = 20_000) -> float:
+    """Seconds a cell on this rank: tangent, residual, elimination and recovery by the kernels."""
+    kernel, arrays = cast(Any, run.kernel), [np.zeros_like(f.x.array) for f in run.fields]
+    mesh = run.fields[0].function_space.mesh
+    owned = mesh.topology.index_map(mesh.topology.dim).size_local
+    work: list[tuple[Callable[[], Any], int]] = [
+        (lambda: kernel.matrices(slice(cells)), min(cells, owned)),
+        (lambda: kernel.residual(*arrays), owned),
+    ]
+    if len(arrays) > 1:
+        u, S, Y = arrays
+        work += [
+            (lambda: kernel.eliminate(S, Y, u), owned),
+            (lambda: kernel.recover(u, S, Y, S, Y), owned),
+        ]
+    seconds = 0.0
+    for action, count in work:
+        action()  # compiles
+        times = []
+        for _ in range(5):
+            start = time.perf_counter()
+            action()
+            times.append(time.perf_counter() - start)
+        seconds += _median(times) / count
+    return seconds
+
+
+def _forget_peak() -> None:
+    """Start to measure the peak memory of this process anew, where Linux lets one."""
+    try:
+        Path("/proc/self/clear_refs").write_text("5")
+    except OSError:
+        return
+
+
+def _peak_memory() -> float:
+    """Peak resident memory of this process [GB]."""
+    for line in Path("/proc/self/status").read_text().splitlines():
+        if line.startswith("VmHWM:"):
+            return int(line.split()[1]) / 1e6
+    return float("nan")
+
+
+def _median(values: Sequence[float]) -> float:
+    return float(np.median(values)) if len(values) else float("nan")
+
+
+# What to show
+
+
+def _per_iteration(record: Record, variant: str) -> float:
+    seconds, iterations = record[f"{variant}_seconds"], record[f"{variant}_iterations"]
+    return sum(seconds) / max(sum(iterations), 1)
+
+
+def _per_step(record: Record, variant: str) -> float:
+    """Seconds a step; infinite for a variant that failed."""
+    if record[f"{variant}_failure"]:
+        return float("inf")
+    return sum(record[f"{variant}_seconds"]) / record["steps"]
+
+
+def classical(record: Record) -> str:
+    """The faster of the displacement's variants that got through."""
+    return min(VARIANTS[1:], key=lambda variant: _per_step(record, variant))
+
+
+def table(records: Sequence[Record]) -> list[str]:
+    """An iteration and a step on each mesh, then iterations and seconds over the grid."""
+    lines = [
+        "",
+        "Milliseconds of a Newton iteration, medians over steps with E = 1e7 Pa, h = 0.1 s, by CG",
+        "with GAMG. 'local': per-cell work, µs a tetrahedron; 'assembly': residual and matrix,",
+        "that included; 'GB': peak memory, both together.",
+        "",
+        "  ".join(f"{name:>{width}}" for name, width in _COLUMNS.items()),
+    ]
+    for r in (r for r in records if r["kind"] == "mesh"):
+        for variant in VARIANTS[:2]:
+            lines.append(_mesh_line(r, variant))
+        iteration = _per_iteration(r, "mixed") / _per_iteration(r, "backtracking")
+        step = _per_step(r, "backtracking") / _per_step(r, "mixed")
+        lines.append(
+            f"{'':>31} mixed / displacement: an iteration {iteration:.2f}, a step 1/{step:.1f}"
+        )
+    lines += [
+        "",
+        "Newton iterations and seconds a step, mixed against the better displacement variant",
+        "(b: backtracking on the residual, p: projected tangent), and how many times faster:",
+        "",
+        f"{'E [Pa]':>8} {'h [s]':>6}  {'mixed':>18}  {'displacement':>20}  {'faster':>6}",
+    ]
+    for r in (r for r in records if r["kind"] == "grid"):
+        best = classical(r)
+        faster = _per_step(r, best) / _per_step(r, "mixed")
+        lines.append(
+            f"{r['E']:>8.0e} {r['h']:>6g}  {_cell(r, 'mixed'):>18}  "
+            f"{_cell(r, best):>18} {best[0]}  {faster:>6.1f}"
+        )
+    return lines
+
+
+_COLUMNS = {
+    "tetrahedra": 10,
+    "material": 19,
+    "Newton": 12,
+    "local": 5,
+    "assembly": 8,
+    "condense": 8,
+    "set-up": 6,
+    "CG": 6,
+    "total": 6,
+    "CG its": 6,
+    "its/step": 8,
+    "s/step": 7,
+    "GB": 4,
+}
+
+
+def _mesh_line(r: Record, variant: str) -> str:
+    phase: Mapping[str, float] = {name: 1e3 * r[f"{variant}_{name}"] for name in PHASES}
+    iterations = r[f"{variant}_iterations"]
+    values = (
+        str(r["tetrahedra"]),
+        r["material"],
+        "mixed" if variant == "mixed" else "displacement",
+        f"{1e6 * r[f'{variant}_local']:.2f}",
+        f"{phase['residual'] + phase['jacobian']:.0f}",
+        f"{phase['condensation']:.0f}",
+        f"{phase['setup']:.0f}",
+        f"{phase['solve']:.0f}",
+        f"{1e3 * _per_iteration(r, variant):.0f}",
+        f"{sum(r[f'{variant}_krylov']) / max(sum(iterations), 1):.1f}",
+        f"{_median(iterations):.0f}",
+        f"{_per_step(r, variant):.2f}",
+        f"{r['peak_memory']:.1f}",
+    )
+    return "  ".join(f"{v:>{w}}" for v, w in zip(values, _COLUMNS.values(), strict=True))
+
+
+def _cell(r: Record, variant: str) -> str:
+    if r[f"{variant}_failure"]:
+        return f"fails at step {r[f'{variant}_steps_done'] + 1}"
+    return f"{np.mean(r[f'{variant}_iterations']):.1f} its {_per_step(r, variant):.3f} s"
+
+
+def draw(records: Sequence[Record], figure: Figure) -> None:
+    """Seconds a step over the mesh, and the speed-up over the grid."""
+    figure.set_size_inches(9.0, 3.8)
+    left, right = figure.subplots(1, 2)
+    meshes = [r for r in records if r["kind"] == "mesh" and r["material"] == "stable-neo-hookean"]
+    for variant, name in (("mixed", "mixed"), ("backtracking", "displacement")):
+        seconds = [_per_step(r, variant) for r in meshes]
+        left.loglog([r["tetrahedra"] for r in meshes], seconds, "o-", label=name)
+    left.set(xlabel="tetrahedra", ylabel="seconds a step", title="E = 1e7 Pa, h = 0.1 s")
+    left.legend()
+    cells = [r for r in records if r["kind"] == "grid"]
+    E, h = (sorted({r[name] for r in cells}) for name in ("E", "h"))
+    faster = np.full((len(h), len(E)), np.nan)
+    for r in cells:
+        ratio = _per_step(r, classical(r)) / _per_step(r, "mixed")
+        faster[h.index(r["h"]), E.index(r["E"])] = ratio
+    image = right.imshow(np.log10(faster), cmap="RdBu", vmin=-1.5, vmax=1.5, aspect="auto")
+    for (i, j), ratio in np.ndenumerate(faster):
+        right.text(j, i, f"{ratio:.1f}", ha="center", va="center")
+    right.set_xticks(range(len(E)), [f"{value:.0e}" for value in E])
+    right.set_yticks(range(len(h)), [f"{value:g}" for value in h])
+    right.set(xlabel="E [Pa]", ylabel="h [s]", title="mixed Newton: times faster a step")
+    figure.colorbar(image, ax=right, label="log10")
+
+
+COST = Study(
+    name="cost",
+    description="seconds of a mixed Newton iteration and step beside the displacement Newton's",
+    grid=grid,
+    compute=compute,
+    table=table,
+    draw=draw,
+)
