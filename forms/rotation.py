@@ -26,8 +26,6 @@ B. K. P. Horn, Closed-form solution of absolute orientation using unit quaternio
 
 from __future__ import annotations
 
-import weakref
-
 import numpy as np
 import numpy.typing as npt
 import ufl
@@ -105,8 +103,15 @@ def _cross(b: Expr) -> Expr:
     return ufl.as_matrix([[0, -b[2], b[1]], [b[2], 0, -b[0]], [-b[1], b[0], 0]])
 
 
-# One set of per-cell data for each displacement, as long as an expression uses it.
-_polar_data: weakref.WeakValueDictionary[int, _PolarData] = weakref.WeakValueDictionary()
+def _polar_data(u: fem.Function) -> _PolarData:
+    """The one set of per-cell data of a displacement, which lives as long as it does.
+
+    A compiled form keeps the numbers and not this object: a second set would leave them stale.
+    """
+    data: _PolarData | None = vars(u).get("_polar_data")
+    if data is None:
+        data = vars(u)["_polar_data"] = _PolarData(u)
+    return data
 
 
 def polar_rotation(u: fem.Function) -> Expr:
@@ -123,10 +128,7 @@ def polar_rotation(u: fem.Function) -> Expr:
         c, s = F[0, 0] + F[1, 1], F[1, 0] - F[0, 1]
         r = ufl.sqrt(c**2 + s**2)
         return ufl.as_matrix([[c / r, -s / r], [s / r, c / r]])
-    data = _polar_data.get(u.count())
-    if data is None:
-        data = _polar_data[u.count()] = _PolarData(u)
-    R0, S0, G = data.unpack()
+    R0, S0, G = _polar_data(u).unpack()
     A = R0.T * F
     a = ufl.as_vector([A[2, 1] - A[1, 2], A[0, 2] - A[2, 0], A[1, 0] - A[0, 1]])
     D = ufl.sym(A) - S0

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+
 from mpi4py import MPI
 
 import basix.ufl
@@ -13,8 +15,9 @@ from dolfinx import fem, mesh
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from ufl.algorithms import extract_coefficients
 
-from forms import displacement_field, polar_rotation, right_stretch
+from forms import CellData, displacement_field, polar_rotation, right_stretch
 from tests.states import small_mesh
 
 entries = st.floats(-2.0, 2.0, allow_subnormal=False)
@@ -117,3 +120,18 @@ def test_per_cell_data_are_shared():
     u = displacement_field(small_mesh(3))
     both = ufl.inner(polar_rotation(u), right_stretch(u)) * ufl.dx
     assert len(both.coefficients()) == 2
+
+
+def test_compiled_forms_of_one_displacement_share_the_data():
+    """A form compiled from an expression that is gone follows what another one refreshes."""
+    u = displacement_field(small_mesh(3))
+    trace = fem.form(ufl.tr(polar_rotation(u)) * ufl.dx)
+    volume = MPI.COMM_WORLD.allreduce(fem.assemble_scalar(trace)) / 3
+    gc.collect()
+    angle = 0.7
+    Q = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+    u.interpolate(lambda X: (Q - np.eye(3)) @ X)
+    (data,) = (c for c in extract_coefficients(polar_rotation(u)) if isinstance(c, CellData))
+    data.refresh()
+    expected = (1 + 2 * np.cos(angle)) * volume
+    assert np.isclose(MPI.COMM_WORLD.allreduce(fem.assemble_scalar(trace)), expected, rtol=1e-12)
