@@ -95,7 +95,7 @@ class CompiledProblem:
             [bc.dof_indices()[0] for bc in bcs] or [np.zeros(0, dtype=np.int32)]
         )
         self._residual = fem.form(residual)
-        self._jacobian = fem.form(ufl.derivative(residual, u, ufl.TrialFunction(V)))
+        self._rest = _Rest(fem.form(ufl.derivative(residual, u, ufl.TrialFunction(V))), bcs)
         self._energy = fem.form(energy)
         self._projected = projected
         self._matrix_forms = {projected: kernel.matrix_form(projected=projected)}
@@ -103,7 +103,7 @@ class CompiledProblem:
         self._r_l = [np.zeros_like(f.x.array) for f in fields[1:]]
         spaces = [f.function_space for f in fields]
         self.x, self.b = create_vector(spaces, kind="mpi"), create_vector(spaces, kind="mpi")
-        self.K = create_matrix(self._jacobian)
+        self.K = create_matrix(self._rest.form)
         self.A = self.K
         if len(fields) > 1:
             size = self.x.getSizes()
@@ -114,11 +114,10 @@ class CompiledProblem:
         self.solver.setFunction(self._assemble_residual, self.b)
         self.solver.setJacobian(self._assemble_jacobian, self.A)
 
-    def __del__(self) -> None:
-        """Destroy PETSc's objects, as `dolfinx.fem.petsc.NonlinearProblem` does."""
-        for name in ("solver", "A", "K", "x", "b"):
-            if hasattr(self, name):
-                getattr(self, name).destroy()
+    def destroy(self) -> None:
+        """Destroy PETSc's objects. Collective."""
+        for thing in (self.solver, self.A, self.K, self.x, self.b, self._rest):
+            thing.destroy()
 
     def _assemble_residual(self, snes: PETSc.SNES, x: PETSc.Vec, b: PETSc.Vec) -> None:
         r_u = self._r_u.array
@@ -147,9 +146,8 @@ class CompiledProblem:
             self._matrix_forms[projected] = self.kernel.matrix_form(projected=projected)
         self.K.zeroEntries()
         _assemble_matrix(self.K, self._matrix_forms[projected], self._bcs, diag=0.0)
-        self.K.assemble(PETSc.Mat.AssemblyType.FLUSH)
-        _assemble_matrix(self.K, self._jacobian, self._bcs, diag=1.0)
         self.K.assemble()
+        self.K.axpy(1.0, self._rest.matrix(), PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
 
     def project(self, scale: float) -> bool:
         """Assemble K positive semi-definite, for a displacement in this unit. Collective."""
@@ -200,6 +198,40 @@ def weakly[**P, T](method: Callable[P, T]) -> Callable[P, T]:
         return bound(*args, **kwargs)
 
     return call
+
+
+class _Rest:
+    """The Jacobian of an energy, assembled only when what it depends on has changed.
+
+    Inertia is quadratic in the displacement: its Jacobian changes with the time step and the
+    density alone.
+    """
+
+    def __init__(self, form: fem.Form, bcs: Sequence[fem.DirichletBC]) -> None:
+        self.form = form
+        self._bcs = list(bcs)
+        self._matrix = create_matrix(form)
+        compiled = form._cpp_object
+        self._inputs = lambda: [
+            *(c.value for c in compiled.constants),
+            *(c.x.array for c in compiled.coefficients),
+        ]
+        self._known: list[Floats] = []
+
+    def destroy(self) -> None:
+        """Destroy the matrix. Collective."""
+        self._matrix.destroy()
+
+    def matrix(self) -> PETSc.Mat:
+        """Return the matrix, with ones on the diagonal for Dirichlet conditions. Collective."""
+        inputs = self._inputs()
+        same = len(self._known) > 0 and all(map(np.array_equal, inputs, self._known))
+        if not self.form.mesh.comm.allreduce(same, op=MPI.LAND):
+            self._known = [values.copy() for values in inputs]
+            self._matrix.zeroEntries()
+            _assemble_matrix(self._matrix, self.form, self._bcs, diag=1.0)
+            self._matrix.assemble()
+        return self._matrix
 
 
 class _Shell:

@@ -29,7 +29,7 @@ from dolfinx import fem, la
 from dolfinx.fem.petsc import create_vector
 
 from solvers.layout import BlockLayout, Ints
-from solvers.options import FACTORISE_UP_TO, FORCING_LIMITS, KEEP_WHILE
+from solvers.options import FACTORISE_UP_TO, FORCING_LIMITS, KEEP_WHILE, MODEST
 
 Floats = npt.NDArray[np.float64]
 
@@ -184,6 +184,7 @@ class CondensedSolver:
         iterations: Linear iterations since the last `start`.
         seconds: Wall time since then by phase: "condensation", "setup" of the preconditioner,
             "solve".
+        target: The residual norm at which the Newton iteration ends.
         notes: What was done since then about a K that conjugate gradients did not solve with, by
             the number of the Newton iteration.
     """
@@ -220,12 +221,11 @@ class CondensedSolver:
         self._fresh_cost = 0.0
         self.start()
 
-    def __del__(self) -> None:
-        """Destroy PETSc's objects: left to Python, PETSc keeps them and their communicator."""
-        for name in ("ksp", "_g", "_z"):
-            if hasattr(self, name):
-                getattr(self, name).destroy()
-        if getattr(self, "_blocks", None) is not None:
+    def destroy(self, pc: PETSc.PC) -> None:
+        """Destroy what this holds. Called by PETSc."""
+        for thing in (self.ksp, self._g, self._z):
+            thing.destroy()
+        if self._blocks is not None:
             self.K.destroy()
 
     @property
@@ -239,6 +239,7 @@ class CondensedSolver:
         self.iterations = 0
         self.seconds = {"condensation": 0.0, "setup": 0.0, "solve": 0.0}
         self.notes: dict[int, str] = {}
+        self.target = 0.0
         self._newton_iteration = 0
         self._last_norm = 0.0
 
@@ -267,7 +268,6 @@ class CondensedSolver:
         """Solve with the block system. Called by PETSc."""
         assert self._blocks is not None
         self._newton_iteration += 1
-        self._set_tolerance(b.norm())
         owned = self._g.getLocalSize()
         right = b.array_r
         with self._timed("condensation"):
@@ -277,6 +277,7 @@ class CondensedSolver:
                 self._blocks.eliminate(right, local)
                 local[:owned] += right[:owned]
             self._g.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
+        self._set_tolerance(b.norm())
         if not self._solve():
             pc.setFailedReason(PETSc.PC.FailedReason.SUBPC_ERROR)
         with self._timed("condensation"):
@@ -350,11 +351,22 @@ class CondensedSolver:
         self.notes[self._newton_iteration] = f"{what}: {remedy}"
 
     def _set_tolerance(self, norm: float) -> None:
-        """Solve as exactly as this Newton step can use (Eisenstat and Walker, 1996, choice 2)."""
+        """Solve as exactly as this Newton step can use.
+
+        Choice 2 of Eisenstat and Walker (1996), and no more than what ends the Newton iteration
+        (Kelley 1995, eq. 6.20). What the condensed system leaves is what the block system leaves.
+
+        Args:
+            norm: Of the block system's right-hand side.
+        """
         loose, tight = FORCING_LIMITS
         ratio = norm / self._last_norm if self._last_norm > 0.0 else 1.0
-        self.ksp.setTolerances(rtol=float(np.clip(ratio ** ((1 + 5**0.5) / 2), tight, loose)))
         self._last_norm = norm
+        forcing = np.clip(ratio ** ((1 + 5**0.5) / 2), tight, loose)
+        condensed = self._g.norm()
+        if condensed > 0.0:
+            enough = max(forcing * norm, 0.1 * self.target) / condensed
+            self.ksp.setTolerances(rtol=float(np.clip(enough, tight, MODEST)))
 
     @contextmanager
     def _timed(self, phase: str) -> Iterator[None]:

@@ -62,6 +62,8 @@ CONDENSED_DIRECT: Options = {
 CONDENSED_CG: Options = {
     "ksp_type": "cg",
     "ksp_max_it": 500,
+    # What Newton's method sees; the preconditioned norm may be far from it.
+    "ksp_norm_type": "unpreconditioned",
     "pc_type": "gamg",
     # Rigid-body modes need the rotations smoothed too.
     "pc_gamg_agg_nsmooths": 1,
@@ -90,8 +92,11 @@ DIVERGING = 100.0
 ENERGY_RESOLVED = 1e-9
 """Relative change of the energy below which a line search on it sees rounding error."""
 
-FORCING_LIMITS = (1e-4, 1e-8)
+FORCING_LIMITS = (1e-3, 1e-8)
 """Loosest and tightest relative tolerance of an iterative solve inside a Newton step."""
+
+MODEST = 1e-2
+"""Loosest relative tolerance on the condensed system itself, which sees the displacement only."""
 
 SOLVERS: Mapping[str, str] = {
     "direct": "LU of the whole block system by MUMPS",

@@ -32,6 +32,7 @@ from solvers.condensation import (
     NothingToEliminate,
 )
 from solvers.layout import BlockLayout
+from solvers.lifetime import destroy_dead, destroy_with
 from solvers.options import ENERGY_RESOLVED, SOLVERS, Options
 from solvers.result import ConvergenceError, SolveResult
 
@@ -99,6 +100,7 @@ class MixedProblem:
         missing = [f.name for f in wanted if f not in energy.coefficients()]
         if missing:
             raise ValueError(f"the energy does not depend on the field {missing[0]}")
+        destroy_dead(fields[0].function_space.mesh.comm)
         self.fields = tuple(fields)
         self.scales: npt.NDArray[np.float64] = np.ones(len(self.fields))
         self._scaled = False
@@ -154,13 +156,8 @@ class MixedProblem:
         # D: the scale of each unknown; x: the unscaled unknowns, as DOLFINx's callbacks want them.
         self._D = self.problem.x.duplicate()
         self._x = self.problem.x.duplicate()
+        destroy_with(self, self._layout.comm, [self._D, self._x, self.problem])
         self._before = [np.empty_like(f.x.array) for f in self.fields]
-
-    def __del__(self) -> None:
-        """Destroy PETSc's objects; the other owners destroy theirs."""
-        for name in ("_D", "_x"):
-            if hasattr(self, name):
-                getattr(self, name).destroy()
 
     def solve(self) -> SolveResult:
         """Solve from the current values of the fields, and put the solution there.
@@ -318,12 +315,15 @@ class MixedProblem:
     def _monitor(self, snes: PETSc.SNES, iteration: int, norm: float) -> None:
         if iteration == 0 and self._norms:
             return  # the start again
+        if iteration == 0 and self.condensed is not None:
+            rtol, atol, *_ = snes.getTolerances()
+            self.condensed.target = max(atol, rtol * norm)
         if iteration == 1 and self._watch:
             growth = max(1.0, norm / self._residuals[0])
             snes.setDivergenceTolerance(min(self._growth_limit, defaults.DIVERGING * growth))
-        b = self.problem.b.array_r / self._D.array_r
-        sums = np.array([np.sum(part**2) for part in self._layout.split(b)])
-        norms = np.sqrt(self._layout.comm.allreduce(sums, op=MPI.SUM))
+        parts = self._layout.split(self.problem.b.array_r)
+        sums = np.array([np.dot(part, part) for part in parts])
+        norms = np.sqrt(self._layout.comm.allreduce(sums, op=MPI.SUM)) / self.scales
         self._norms.append({f.name: float(n) for f, n in zip(self.fields, norms, strict=True)})
         self._residuals.append(float(norm))
         logger.debug("Newton %d: %s", iteration, self._norms[-1])

@@ -20,6 +20,7 @@ from forms import (
     displacement_field,
 )
 from solvers import ConvergenceError, MixedProblem
+from solvers.lifetime import destroy_dead
 from solvers.result import history_table
 from tests.states import (
     by_field,
@@ -317,9 +318,11 @@ def test_a_problem_is_freed(formulation, solver, compiled):
 
     alive = solve()
     gc.collect()
+    destroy_dead(MPI.COMM_WORLD)
     assert [reference() for reference in alive] == [None, None, None]
     if MPI.get_vendor()[0] == "MPICH":
         before = free_communicators()
         solve()
         gc.collect()
+        destroy_dead(MPI.COMM_WORLD)
         assert free_communicators() == before
