@@ -114,7 +114,7 @@ def run(
     shortfalls: list[str] = []
     if comm.rank == 0:
         shortfalls = study.verdict(records)
-        _write(study, records, out, comm.size)
+        _write(study, records, out, screen, comm.size)
     return Outcome(records, cached, comm.bcast(shortfalls))
 
 
@@ -153,7 +153,7 @@ class _Cache:
             os.replace(partial, file)  # whole or not at all
 
 
-def _write(study: Study, records: Sequence[Record], out: Path, ranks: int) -> None:
+def _write(study: Study, records: Sequence[Record], out: Path, screen: Screen, ranks: int) -> None:
     stem = out / study.name
     document = {"study": study.name, "ranks": ranks, "records": records}
     stem.with_suffix(".json").write_text(json.dumps(document, indent=1), "utf-8")
@@ -164,8 +164,11 @@ def _write(study: Study, records: Sequence[Record], out: Path, ranks: int) -> No
         writer.writeheader()
         writer.writerows(plain)
     if study.draw is not None:
-        from matplotlib.figure import Figure  # a second, and only for this
-
+        try:
+            from matplotlib.figure import Figure  # optional
+        except ModuleNotFoundError:
+            screen.line("no figure: matplotlib is not installed (pip install matplotlib)")
+            return
         figure = Figure(layout="constrained")
         study.draw(records, figure)
         for suffix in (".pdf", ".png"):
