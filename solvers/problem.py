@@ -322,7 +322,8 @@ class MixedProblem:
             growth = max(1.0, norm / self._residuals[0])
             snes.setDivergenceTolerance(min(self._growth_limit, defaults.DIVERGING * growth))
         parts = self._layout.split(self.problem.b.array_r)
-        sums = np.array([np.dot(part, part) for part in parts])
+        # Not np.dot, which wakes the threads of BLAS.
+        sums = np.array([np.einsum("i,i", part, part) for part in parts])
         norms = np.sqrt(self._layout.comm.allreduce(sums, op=MPI.SUM)) / self.scales
         self._norms.append({f.name: float(n) for f, n in zip(self.fields, norms, strict=True)})
         self._residuals.append(float(norm))
