@@ -12,7 +12,8 @@ import pytest
 from demos import studies
 from demos.cli import main
 from demos.progress import Screen
-from demos.studies import Interrupted, Study, cost, run
+from demos.studies import Interrupted, Study, cost, refinement, run
+from forms import FORMULATIONS
 
 COMM = MPI.COMM_WORLD
 
@@ -119,3 +120,25 @@ def test_cost_of_a_small_case(tmp_path):
         cost.draw(records, figure)
         figure.savefig(tmp_path / "cost.png")
         assert (tmp_path / "cost.png").stat().st_size > 1000
+
+
+@pytest.mark.parametrize("motion", ["static", "dynamic"])
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+def test_orders_of_refinement_in_2d(formulation, motion):
+    """u in L2: 2, in H1: 1; S and Λ: 1, over the finest three of four levels."""
+    cases = [refinement.case(formulation, 2, motion, "condensed", n) for n in (4, 8, 16, 32)]
+    check_orders(cases)
+
+
+def test_orders_of_refinement_in_3d():
+    check_orders([refinement.case("symmetric", 3, "dynamic", "condensed", n) for n in (2, 4, 8)])
+
+
+def check_orders(cases):
+    records = [case | refinement.compute(COMM, case) for case in cases]
+    assert refinement.verdict(records) == []
+    for name, order in refinement.orders(records).items():
+        assert order == pytest.approx(refinement.ORDERS[name], abs=0.1)
+    # An error that does not fall is named.
+    stuck = [r | {"S_L2": records[0]["S_L2"]} for r in records]
+    assert [line for line in refinement.verdict(stuck) if "S_L2 has order" in line]

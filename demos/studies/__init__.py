@@ -1,9 +1,10 @@
 """Studies: grids of cases with a table, files and a figure. `mixed-fem study NAME`."""
 
 from demos.studies.cost import COST
+from demos.studies.refinement import REFINEMENT
 from demos.studies.study import Interrupted, Outcome, Record, Study, run
 
-STUDIES: dict[str, Study] = {study.name: study for study in (COST,)}
+STUDIES: dict[str, Study] = {study.name: study for study in (COST, REFINEMENT)}
 """Studies by name."""
 
 __all__ = ["STUDIES", "Interrupted", "Outcome", "Record", "Study", "run"]
