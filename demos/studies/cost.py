@@ -11,24 +11,19 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 from mpi4py import MPI
 
 import numpy as np
-import ufl
-from dolfinx import fem
 
+from demos.studies.bar import Bar, bar
 from demos.studies.study import Parameters, Record, Study
-from forms import FORMULATIONS, MATERIALS, BackwardEuler
-from meshes import Where, box
-from solvers import ConvergenceError, MixedProblem, SolveResult
 from solvers.options import CONDENSED_CG
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-RHO, GRAVITY, NU = 1000.0, (0.0, -9.81, 0.0), 0.45
 VARIANTS = ("mixed", "backtracking", "projected")
 PHASES = ("residual", "jacobian", "condensation", "setup", "solve")
 
@@ -60,72 +55,46 @@ def _case(kind: str, n: int, material: str, E: float, h: float, steps: int) -> P
     return dict(zip(names, (kind, 24 * n**3, n, material, E, h, steps), strict=True))
 
 
-class _Run:
-    """One formulation of a case, step by step."""
+def _build(comm: MPI.Comm, variant: str, case: Parameters) -> Bar:
+    # The same solver on every mesh, that its growth may be seen.
+    always_cg = {f"condensed_{key}": value for key, value in CONDENSED_CG.items()}
+    return bar(
+        comm,
+        "symmetric" if variant == "mixed" else "displacement",
+        **{name: case[name] for name in ("n", "E", "h", "material")},
+        projected=variant == "projected",
+        options=always_cg if case["kind"] == "mesh" else None,
+    )
 
-    def __init__(self, comm: MPI.Comm, variant: str, case: Parameters) -> None:
-        n = case["n"]
-        body = box(comm, size=(4.0, 1.0, 1.0), cells=(4 * n, n, n))
-        form = FORMULATIONS["symmetric" if variant == "mixed" else "displacement"]
-        self.fields = form.fields(body.mesh)
-        V = self.fields[0].function_space
-        psi = MATERIALS[case["material"]](case["E"], NU)
-        assert form.kernel is not None
-        self.kernel = form.kernel(*self.fields, psi)
-        self.scheme = BackwardEuler(self.fields[0], case["h"], GRAVITY)
-        clamped = fem.dirichletbc(np.zeros(3), body.dofs(V, Where(extents=(("x", "min"),))), V)
-        # The same solver on every mesh, that its growth may be seen.
-        always_cg = {f"condensed_{k}": v for k, v in CONDENSED_CG.items()}
-        self.problem = MixedProblem(
-            self.scheme.kinetic(RHO) * ufl.dx,
-            self.fields,
-            [clamped],
-            kernel=self.kernel,
-            projected=variant == "projected",
-            options=always_cg if case["kind"] == "mesh" else None,
-        )
-        self.results: list[SolveResult] = []
-        self.failure = ""
 
-    def step(self) -> None:
-        """Solve and advance, unless a step has failed."""
-        if self.failure:
-            return
-        try:
-            self.results.append(self.problem.solve())
-        except ConvergenceError as error:
-            self.failure = error.result.reason
-            return
-        self.scheme.advance()
-
-    def record(self, comm: MPI.Comm) -> Record:
-        """Medians over the steps; the slowest rank counts."""
-        r = self.results
-        values: Record = {
-            "failure": self.failure,
-            "steps_done": len(r),
-            "iterations": [result.iterations for result in r],
-            "krylov": [result.krylov_iterations for result in r],
-            "seconds": [comm.allreduce(result.timings["total"], op=MPI.MAX) for result in r],
-        }
-        for phase in PHASES:
-            each = [result.timings[phase] / result.iterations for result in r if result.iterations]
-            values[phase] = comm.allreduce(_median(each), op=MPI.MAX)
-        return values
+def _record(comm: MPI.Comm, run: Bar) -> Record:
+    """Of the steps that succeeded, with medians over them; the slowest rank counts."""
+    r = run.results[:-1] if run.failure else run.results
+    values: Record = {
+        "failure": run.failure,
+        "steps_done": len(r),
+        "iterations": [result.iterations for result in r],
+        "krylov": [result.krylov_iterations for result in r],
+        "seconds": [comm.allreduce(result.timings["total"], op=MPI.MAX) for result in r],
+    }
+    for phase in PHASES:
+        each = [result.timings[phase] / result.iterations for result in r if result.iterations]
+        values[phase] = comm.allreduce(_median(each), op=MPI.MAX)
+    return values
 
 
 def compute(comm: MPI.Comm, case: Parameters) -> Record:
     """Run the variants in turn, step by step. Collective."""
     variants = VARIANTS if case["kind"] == "grid" else VARIANTS[:2]
     _forget_peak()
-    runs = {variant: _Run(comm, variant, case) for variant in variants}
+    runs = {variant: _build(comm, variant, case) for variant in variants}
     for _ in range(case["steps"]):
         for run in runs.values():
             comm.barrier()
             run.step()
     record: Record = {}
     for variant, run in runs.items():
-        record |= {f"{variant}_{name}": value for name, value in run.record(comm).items()}
+        record |= {f"{variant}_{name}": value for name, value in _record(comm, run).items()}
     if case["kind"] == "mesh":
         record["peak_memory"] = comm.allreduce(_peak_memory())
         for variant, run in runs.items():
@@ -133,9 +102,9 @@ def compute(comm: MPI.Comm, case: Parameters) -> Record:
     return record
 
 
-def _local_work(run: _Run, cells: int = 20_000) -> float:
+def _local_work(run: Bar, cells: int = 20_000) -> float:
     """Seconds a cell on this rank: tangent, residual, elimination and recovery by the kernels."""
-    kernel, arrays = cast(Any, run.kernel), [np.zeros_like(f.x.array) for f in run.fields]
+    kernel, arrays = run.kernel, [np.zeros_like(f.x.array) for f in run.fields]
     mesh = run.fields[0].function_space.mesh
     owned = mesh.topology.index_map(mesh.topology.dim).size_local
     work: list[tuple[Callable[[], Any], int]] = [
