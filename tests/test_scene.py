@@ -276,7 +276,10 @@ def said(capfd) -> str:
         (["run", "hanging-bar", "--resume", "x.h5"], "--resume is not available yet"),
         (["run", "hanging-bar", "--out", "/dev/null/x"], "--out /dev/null/x: cannot be written to"),
         (["run", "hanging-bar", "--fast"], "unrecognized arguments: --fast"),
-        (["study", "rate", "--quick"], "study rate: unknown; available: cost, refinement"),
+        (
+            ["study", "rate", "--quick"],
+            "study rate: unknown; available: cost, newton, ref",
+        ),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )

@@ -7,12 +7,13 @@ import json
 
 from mpi4py import MPI
 
+import numpy as np
 import pytest
 
 from demos import studies
 from demos.cli import main
 from demos.progress import Screen
-from demos.studies import Interrupted, Study, cost, refinement, run
+from demos.studies import Interrupted, Study, cost, newton, refinement, run, timestep
 from forms import FORMULATIONS
 
 COMM = MPI.COMM_WORLD
@@ -142,3 +143,26 @@ def check_orders(cases):
     # An error that does not fall is named.
     stuck = [r | {"S_L2": records[0]["S_L2"]} for r in records]
     assert [line for line in refinement.verdict(stuck) if "S_L2 has order" in line]
+
+
+def test_newton_of_the_mixed_formulations_is_faster_and_superlinear():
+    cases = [newton.case(name, 2, projected=False) for name in ("symmetric", "displacement")]
+    records = [case | newton.compute(COMM, case) for case in cases]
+    mixed, classical = records
+    assert mixed["failure"] == classical["failure"] == ""
+    assert mixed["order"] > 1.5
+    assert 2 * mixed["iterations"] < classical["iterations"]
+    assert len(newton.table(records)) == 2 + len(records)
+
+
+def test_order_of_backward_euler():
+    """One, in displacement, velocity and energy; the two formulations march alike."""
+    cases = timestep.grid(quick=True)
+    records = [case | timestep.compute(COMM, case) for case in cases]
+    assert timestep.verdict(records) == []
+    half = len(records) // 2
+    for mixed, classical in zip(records[:half], records[half:], strict=True):
+        np.testing.assert_allclose(mixed["u"], classical["u"], rtol=0, atol=1e-8)
+    # Records of another order are named.
+    wrong = [r | {"u": records[0]["u"]} if r["steps"] == 32 else r for r in records]
+    assert len(timestep.verdict(wrong)) == 2

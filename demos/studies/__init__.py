@@ -1,10 +1,12 @@
 """Studies: grids of cases with a table, files and a figure. `mixed-fem study NAME`."""
 
 from demos.studies.cost import COST
+from demos.studies.newton import NEWTON
 from demos.studies.refinement import REFINEMENT
 from demos.studies.study import Interrupted, Outcome, Record, Study, run
+from demos.studies.timestep import TIMESTEP
 
-STUDIES: dict[str, Study] = {study.name: study for study in (COST, REFINEMENT)}
+STUDIES: dict[str, Study] = {study.name: study for study in (COST, NEWTON, REFINEMENT, TIMESTEP)}
 """Studies by name."""
 
 __all__ = ["STUDIES", "Interrupted", "Outcome", "Record", "Study", "run"]
