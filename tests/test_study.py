@@ -13,7 +13,7 @@ import pytest
 from demos import studies
 from demos.cli import main
 from demos.progress import Screen
-from demos.studies import Interrupted, Study, cost, newton, refinement, run, timestep
+from demos.studies import Interrupted, Study, cost, newton, refinement, run, stiffness, timestep
 from forms import FORMULATIONS
 
 COMM = MPI.COMM_WORLD
@@ -166,3 +166,20 @@ def test_order_of_backward_euler():
     # Records of another order are named.
     wrong = [r | {"u": records[0]["u"]} if r["steps"] == 64 else r for r in records]
     assert len(timestep.verdict(wrong)) == 2
+
+
+def test_stiffness_of_a_thrown_bar():
+    """Where the displacement's Newton takes many iterations the mixed one takes few."""
+    pytest.importorskip("numba")
+    (case,) = (
+        c
+        for c in stiffness.grid(quick=True)
+        if (c["support"], c["E"], c["h"]) == ("rotating", 1e8, 0.1)
+    )
+    record = case | stiffness.compute(COMM, case)
+    assert record["mixed"] < 5 < stiffness.classical(record)
+    failed = record | {"mixed": None, "backtracking": None}
+    assert stiffness.classical(failed) == record["projected"]
+    lines = stiffness.table([record, failed | {"E": 1e9, "projected": None}])
+    assert "fails / fails" in lines[-3]
+    assert "of 2 cases the mixed Newton fails in 1, the displacement Newton in 1" in lines[-1]
