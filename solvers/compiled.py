@@ -13,13 +13,14 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem, la
-from dolfinx.fem.petsc import assemble_matrix, create_matrix, create_vector
+from dolfinx.fem.petsc import assemble_matrix, create_vector
 
 from solvers.layout import BlockLayout
 
 _assemble_matrix: Any = assemble_matrix  # its overloads are not typed
 
 Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int32]
 
 
 class CellKernel(Protocol):
@@ -32,8 +33,15 @@ class CellKernel(Protocol):
     def residual(self) -> Callable[..., None]:
         """Adds the derivatives of the energy to an array for each field."""
 
-    def matrix_form(self, *, projected: bool = False) -> fem.Form:
-        """Return the condensed matrix as a compiled form that reads the current fields."""
+    @property
+    def couplings(self) -> Ints:
+        """Pairs of blocks of displacement dofs that share one of this rank's cells.
+
+        Local numbers, shape (pairs, 2).
+        """
+
+    def matrix(self, K: Floats, *, projected: bool = False) -> None:
+        """Add this rank's cells to the blocks of the condensed matrix, shape (pairs, d, d)."""
 
     def energy(self) -> float:
         """Return the energy of this rank's cells without its multiplier's term [J]."""
@@ -95,15 +103,16 @@ class CompiledProblem:
             [bc.dof_indices()[0] for bc in bcs] or [np.zeros(0, dtype=np.int32)]
         )
         self._residual = fem.form(residual)
-        self._rest = _Rest(fem.form(ufl.derivative(residual, u, ufl.TrialFunction(V))), bcs)
         self._energy = fem.form(energy)
         self._projected = projected
-        self._matrix_forms = {projected: kernel.matrix_form(projected=projected)}
         self._r_u = la.vector(V.dofmap.index_map, V.dofmap.index_map_bs)
         self._r_l = [np.zeros_like(f.x.array) for f in fields[1:]]
         spaces = [f.function_space for f in fields]
         self.x, self.b = create_vector(spaces, kind="mpi"), create_vector(spaces, kind="mpi")
-        self.K = create_matrix(self._rest.form)
+        self._couplings = _Couplings(V, kernel.couplings, self.prescribed)
+        self.K = self._couplings.create_matrix()
+        jacobian = fem.form(ufl.derivative(residual, u, ufl.TrialFunction(V)))
+        self._rest = _Rest(jacobian, bcs, self.K)
         self.A = self.K
         if len(fields) > 1:
             size = self.x.getSizes()
@@ -142,11 +151,10 @@ class CompiledProblem:
         Args:
             projected: Whether to make the kernel's part positive semi-definite cell by cell.
         """
-        if projected not in self._matrix_forms:
-            self._matrix_forms[projected] = self.kernel.matrix_form(projected=projected)
-        self.K.zeroEntries()
-        _assemble_matrix(self.K, self._matrix_forms[projected], self._bcs, diag=0.0)
-        self.K.assemble()
+        blocks = self._couplings.blocks
+        blocks[:] = 0.0
+        self.kernel.matrix(blocks, projected=projected)
+        self._couplings.insert(self.K)
         self.K.axpy(1.0, self._rest.matrix(), PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
 
     def project(self, scale: float) -> bool:
@@ -200,6 +208,52 @@ def weakly[**P, T](method: Callable[P, T]) -> Callable[P, T]:
     return call
 
 
+class _Couplings:
+    """The blocks of a matrix on the displacement that this rank's cells contribute to.
+
+    Attributes:
+        blocks: Their values, shape (pairs, d, d).
+    """
+
+    def __init__(self, V: fem.FunctionSpace, pairs: Ints, prescribed: Ints) -> None:
+        """Find the entries in rows and columns of prescribed dofs, which stay zero."""
+        self._dofmap, self._pairs = V.dofmap, pairs
+        d = V.dofmap.index_map_bs
+        self.blocks: Floats = np.zeros((len(pairs), d, d))
+        index_map = V.dofmap.index_map
+        marked = np.zeros((index_map.size_local + index_map.num_ghosts, d), dtype=bool)
+        marked.ravel()[prescribed] = True
+        rows, columns = marked[pairs.T]
+        self._prescribed = np.flatnonzero(rows[:, :, None] | columns[:, None, :])
+
+    def create_matrix(self) -> PETSc.Mat:
+        """Create a matrix for `insert`, whose pattern is these couplings of all ranks."""
+        index_map, d = self._dofmap.index_map, self._dofmap.index_map_bs
+        numbers = index_map.local_to_global(self._pairs.ravel()).reshape(-1, 2)
+        first = d * numbers.astype(PETSc.IntType)
+        component = np.arange(d, dtype=PETSc.IntType)
+        rows = first[:, 0, None, None] + component[:, None]
+        columns = first[:, 1, None, None] + component
+        K = PETSc.Mat().create(index_map.comm)
+        K.setSizes(((index_map.size_local * d, None),) * 2, bsize=d)
+        K.setType(PETSc.Mat.Type.AIJ)
+        K.setPreallocationCOO(
+            *(np.broadcast_to(i, self.blocks.shape).ravel() for i in (rows, columns))
+        )
+        local = np.arange(index_map.size_local + index_map.num_ghosts, dtype=np.int32)
+        to_global = index_map.local_to_global(local).astype(PETSc.IntType)
+        lgmap = PETSc.LGMap().create(to_global, bsize=d, comm=K.comm)
+        K.setLGMap(lgmap, lgmap)
+        lgmap.destroy()
+        return K
+
+    def insert(self, K: PETSc.Mat) -> None:
+        """Put the sum over the ranks into K. Collective."""
+        values = self.blocks.reshape(-1)
+        values[self._prescribed] = 0.0
+        K.setValuesCOO(values, PETSc.InsertMode.INSERT)
+
+
 class _Rest:
     """The Jacobian of an energy, assembled only when what it depends on has changed.
 
@@ -207,10 +261,11 @@ class _Rest:
     density alone.
     """
 
-    def __init__(self, form: fem.Form, bcs: Sequence[fem.DirichletBC]) -> None:
-        self.form = form
+    def __init__(self, form: fem.Form, bcs: Sequence[fem.DirichletBC], K: PETSc.Mat) -> None:
+        """Make a matrix with the pattern of K, which has all couplings within cells."""
+        self._form = form
         self._bcs = list(bcs)
-        self._matrix = create_matrix(form)
+        self._matrix = K.duplicate()
         compiled = form._cpp_object
         self._inputs = lambda: [
             *(c.value for c in compiled.constants),
@@ -226,10 +281,10 @@ class _Rest:
         """Return the matrix, with ones on the diagonal for Dirichlet conditions. Collective."""
         inputs = self._inputs()
         same = len(self._known) > 0 and all(map(np.array_equal, inputs, self._known))
-        if not self.form.mesh.comm.allreduce(same, op=MPI.LAND):
+        if not self._form.mesh.comm.allreduce(same, op=MPI.LAND):
             self._known = [values.copy() for values in inputs]
             self._matrix.zeroEntries()
-            _assemble_matrix(self._matrix, self.form, self._bcs, diag=1.0)
+            _assemble_matrix(self._matrix, self._form, self._bcs, diag=1.0)
             self._matrix.assemble()
         return self._matrix
 

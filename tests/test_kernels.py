@@ -5,14 +5,13 @@ from __future__ import annotations
 import sys
 
 from mpi4py import MPI
-from petsc4py import PETSc
 
 import basix.ufl
 import numpy as np
 import pytest
 import ufl
 from dolfinx import fem, la, mesh
-from dolfinx.fem.petsc import assemble_matrix, create_vector
+from dolfinx.fem.petsc import assemble_matrix
 
 from forms import FORMULATIONS, MATERIALS, BackwardEuler, CellData, Material, mixed_fields
 from forms.discrete import MATERIALS as DISCRETE
@@ -81,24 +80,40 @@ def test_residual_and_energy_are_ufls(d, material):
 @pytest.mark.parametrize("projected", [False, True])
 @pytest.mark.parametrize("formulation", ["symmetric", "displacement"])
 def test_cells_make_up_the_matrix(d, formulation, projected):
-    """v · K v is the sum over the cells."""
+    """v · K v is the sum over the same cells on a mesh where they share no vertex."""
+    psi = MATERIALS["stable-neo-hookean"](E, NU)
     fields = FORMULATIONS[formulation].fields(small_mesh(d))
-    kernel = FORMULATIONS[formulation].kernel(*fields, MATERIALS["stable-neo-hookean"](E, NU))
+    kernel = FORMULATIONS[formulation].kernel(*fields, psi)
     move(fields)
     V = fields[0].function_space
-    K = assemble_matrix(kernel.matrix_form(projected=projected))
-    K.assemble()
-    v, Kv = create_vector(V), create_vector(V)
-    v.array_w[:] = np.random.default_rng(COMM.rank).standard_normal(v.local_size)
-    K.mult(v, Kv)
-    v.ghostUpdate(PETSc.InsertMode.INSERT, PETSc.ScatterMode.FORWARD)
-    with v.localForm() as local:
-        dofs = V.dofmap.list[: V.mesh.topology.index_map(d).size_local]
-        on_cells = local.array_r.reshape(-1, d)[dofs].reshape(len(dofs), -1)
-    half = len(dofs) // 2
-    parts = [kernel.matrices(c, projected=projected) for c in (slice(half), slice(half, None))]
-    by_cells = np.einsum("ki,kij,kj", on_cells, np.concatenate(parts), on_cells)
-    assert np.isclose(COMM.allreduce(by_cells), v.dot(Kv), rtol=1e-12)
+    v = fem.Function(V)
+    v.x.array[:] = random_directions((v,), 0.0, seed=3)[0]
+    owned = v.x.array[: V.dofmap.index_map.size_local * d]
+    together = COMM.allreduce(owned @ product(matrix_of(kernel, V, projected), v))
+
+    cells = kernel_cells(fields[0])
+    X = V.mesh.geometry.x[V.mesh.geometry.dofmaps[0][cells]].reshape(-1, 3)
+    apart = FORMULATIONS[formulation].fields(
+        mesh.create_mesh(
+            MPI.COMM_SELF,
+            np.arange(len(X)).reshape(-1, d + 1),
+            V.mesh.ufl_domain().ufl_coordinate_element(),
+            X[:, :d],
+        )
+    )
+    order = apart[0].function_space.mesh.topology.original_cell_index
+    w = fem.Function(apart[0].function_space)
+    for f, g in ((v, w), *zip(fields, apart, strict=True)):
+        f_map, g_map = f.function_space.dofmap, g.function_space.dofmap
+        values = f.x.array.reshape(-1, f_map.bs)[f_map.list[cells]]
+        g.x.array.reshape(-1, g_map.bs)[g_map.list] = values[order]
+    kernel = FORMULATIONS[formulation].kernel(*apart, psi)
+    blocks = np.zeros((len(kernel.couplings), d, d))
+    kernel.matrix(blocks, projected=projected)
+    assert len(blocks) == len(cells) * (d + 1) ** 2
+    at_pairs = w.x.array.reshape(-1, d)[kernel.couplings]
+    by_cells = np.einsum("pi,pij,pj", at_pairs[:, 0], blocks, at_pairs[:, 1])
+    assert np.isclose(COMM.allreduce(by_cells), together, rtol=1e-12)
 
 
 @both_dimensions
@@ -108,8 +123,8 @@ def test_elimination_solves_ufls_block_system(d, material):
     psi, formulation = MATERIALS[material](E, NU), FORMULATIONS["symmetric"]
     fields = formulation.fields(small_mesh(d))
     kernel = SymmetricKernel(*fields, psi)
-    matrix = kernel.matrix_form()
-    move(fields)  # after the form was made: assembly reads the fields as they are
+    matrix_of(kernel, fields[0].function_space)
+    move(fields)  # after a first use: each method reads the fields as they are
     energy = formulation.density(*fields, psi) * ufl.dx
     refresh(energy)
 
@@ -143,7 +158,37 @@ def test_elimination_solves_ufls_block_system(d, material):
     # K δu = J_uu δu + J_ul δl + what elimination adds to the right-hand side
     eliminated = np.zeros_like(du)
     kernel.eliminate(b_S, b_Y, eliminated)
-    assert close(summed(fields[0], rows[0] + eliminated), product(matrix, directions[0]))
+    assert close(
+        summed(fields[0], rows[0] + eliminated),
+        product(matrix_of(kernel, fields[0].function_space), directions[0]),
+    )
+
+
+@both_dimensions
+def test_kinematics_follow_the_displacement(d):
+    """A kernel that has seen other displacements says what a new one says."""
+    fields = FORMULATIONS["symmetric"].fields(small_mesh(d))
+    psi = MATERIALS["stable-neo-hookean"](E, NU)
+    used = SymmetricKernel(*fields, psi)
+    move(fields)
+    V, u = fields[0].function_space, fields[0].x.array
+    rng = np.random.default_rng(COMM.rank)
+    b = [rng.standard_normal(f.x.array.size) for f in fields]
+
+    def answers(kernel):
+        residuals, changes = ([np.zeros_like(f.x.array) for f in fields] for _ in range(2))
+        kernel.residual(*residuals)
+        kernel.eliminate(b[1], b[2], changes[0])
+        kernel.recover(b[0], b[1], b[2], changes[1], changes[2])
+        return [*residuals, *changes, matrix_of(kernel, V)]
+
+    for change in (0.0, 1e-9, np.nan, 0.0):
+        at_rest = u.copy()
+        u[-1:] += change  # on every rank, maybe of one cell
+        for a, reference in zip(answers(used), answers(SymmetricKernel(*fields, psi)), strict=True):
+            assert np.array_equal(a, reference, equal_nan=True)
+        u[:] = at_rest
+        u *= 1.01
 
 
 def kernel_cells(f):
@@ -160,18 +205,24 @@ def summed(f, values):
     return result.array[: f.function_space.dofmap.index_map.size_local * f.function_space.dofmap.bs]
 
 
-def matrix_of(form):
-    """The whole matrix on every rank."""
-    A = assemble_matrix(form)
-    A.assemble()
-    return dense(A)
+def matrix_of(kernel, V, projected=False):
+    """A kernel's whole matrix on every rank."""
+    dofmap, d = V.dofmap, V.dofmap.bs
+    blocks = np.zeros((len(kernel.couplings), d, d))
+    kernel.matrix(blocks, projected=projected)
+    rows, columns = dofmap.index_map.local_to_global(kernel.couplings.ravel()).reshape(-1, 2).T
+    vertices = dofmap.index_map.size_global
+    A = np.zeros((vertices, vertices, d, d))
+    A[rows, columns] = blocks
+    COMM.Allreduce(MPI.IN_PLACE, A)
+    return A.transpose(0, 2, 1, 3).reshape(d * vertices, -1)
 
 
-def product(form, f):
-    """A form's matrix times a function, owned dofs."""
+def product(matrix, f):
+    """A whole matrix times a function, owned dofs."""
     dofmap = f.function_space.dofmap
     owned = f.x.array[: dofmap.index_map.size_local * dofmap.bs]
-    result = matrix_of(form) @ np.concatenate(COMM.allgather(owned))
+    result = matrix @ np.concatenate(COMM.allgather(owned))
     first = dofmap.index_map.local_range[0] * dofmap.bs
     return result[first : first + len(owned)]
 
@@ -198,7 +249,7 @@ def test_displacement_kernel_is_ufls(d, material):
     du = fem.Function(V)
     du.x.array[:] = random_directions((u,), 0.0, seed=3)[0]
     tangent = summed(u, vector(ufl.derivative(residual, u, du)))
-    assert close(product(kernel.matrix_form(), du), tangent)
+    assert close(product(matrix_of(kernel, V), du), tangent)
 
 
 # Against the hand-derived derivatives, cell by cell
@@ -261,9 +312,9 @@ class Separate:
         geometric = self.polar.stretch_hessian(symmetric_tensor(self.y))
         return np.swapaxes(ds, 1, 2) @ self.discrete.H(self.s) @ ds + geometric
 
-    def tangents(self, form):
-        """What a form's matrix says of each cell's tangent, shape (n, d², d²)."""
-        A, d = matrix_of(form), self.d
+    def tangents(self, kernel, projected=False):
+        """What a kernel's matrix says of each cell's tangent, shape (n, d², d²)."""
+        A, d = matrix_of(kernel, self.u.function_space, projected), self.d
         x = self.u.function_space.tabulate_dof_coordinates()[:, :d]
         tangents = np.empty((self.n, d * d, d * d))
         for k, dofs in enumerate(self.dofs):
@@ -293,11 +344,11 @@ def sizes(A):
 def test_tangents_are_the_hand_derived_ones(d, material):
     cells = Separate(d, material)
     assert COMM.allreduce(int(np.sum(np.linalg.det(cells.F) < 0.0))) > 5
-    C = cells.tangents(cells.kernel.matrix_form())
+    C = cells.tangents(cells.kernel)
     reference = cells.hand_derived()
     assert np.all(sizes(C - reference) < 1e-11 * sizes(reference))
     cells = Separate(d, material, equilibrium=True)
-    C = cells.tangents(cells.displacement.matrix_form())
+    C = cells.tangents(cells.displacement)
     reference = cells.hand_derived()
     assert np.all(sizes(C - reference) < 1e-11 * sizes(reference))
 
@@ -311,7 +362,7 @@ def test_projection_of_the_displacement_tangent_is_the_nearest(d, material):
     nearest = clamped(exact)
     assert COMM.allreduce(int(np.sum(sizes(nearest - exact) > 0.1 * sizes(exact)))) > 5
     for kernel in (cells.displacement, cells.kernel):
-        C = cells.tangents(kernel.matrix_form(projected=True))
+        C = cells.tangents(kernel, projected=True)
         assert np.all(sizes(C - nearest) < 1e-11 * sizes(exact))
 
 
@@ -321,8 +372,8 @@ def test_projected_tangent_is_positive(d, material):
     """Positive semi-definite anywhere; where the exact tangent is, the same."""
     for strain in (1.0, 0.02):
         cells = Separate(d, material, equilibrium=strain < 1.0, strain=strain)
-        exact = cells.tangents(cells.kernel.matrix_form())
-        projected = cells.tangents(cells.kernel.matrix_form(projected=True))
+        exact = cells.tangents(cells.kernel)
+        projected = cells.tangents(cells.kernel, projected=True)
         lowest = np.linalg.eigvalsh(projected)[:, 0]
         assert np.all(lowest > -1e-12 * sizes(projected))
         positive = np.linalg.eigvalsh(exact)[:, 0] > 1e-10 * sizes(exact)
@@ -337,8 +388,7 @@ def test_projected_tangent_is_positive(d, material):
 def test_projection_changes_the_spin_alone(d, material):
     """Where H is positive: minimised over sym A, the form on the spin is the nearest."""
     cells = Separate(d, material)
-    forms = (cells.kernel.matrix_form(projected=p) for p in (False, True))
-    exact, projected = (cells.tangents(form) for form in forms)
+    exact, projected = (cells.tangents(cells.kernel, projected=p) for p in (False, True))
     # Orthonormal coordinates of A = RᵀδF: symmetric ones, then skew ones.
     basis = np.zeros((d * d, d, d))
     skew = [(i, j) for i in range(d) for j in range(i)]
@@ -393,8 +443,9 @@ def test_block_system_is_solved_exactly(d, material):
     b_u, b_S, b_Y = np.split(b, np.cumsum([X.size, S.x.array.size]))
     inertia = BackwardEuler(u, h).kinetic(rho) * ufl.dx
     v, w = ufl.TestFunction(V), ufl.TrialFunction(V)
-    mass = fem.form(ufl.derivative(ufl.derivative(inertia, u, v), u, w))
-    K = matrix_of(kernel.matrix_form()) + matrix_of(mass)
+    mass = assemble_matrix(fem.form(ufl.derivative(ufl.derivative(inertia, u, v), u, w)))
+    mass.assemble()
+    K = matrix_of(kernel, V) + dense(mass)
     right = b_u.copy()
     kernel.eliminate(b_S, b_Y, right)
     du = np.linalg.solve(K, right)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import functools
 import importlib
-from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Literal
@@ -93,8 +93,6 @@ class Cells:
         )
         self.coordinates: tuple[Ints, Floats] = (mesh.geometry.dofmaps[0][:cells], mesh.geometry.x)
         self.u_dofs: Ints = V.dofmap.list[:cells]
-        self._V = V
-        self._packed: fem.Function | None = None
 
     def vectors(self, values: Floats) -> Floats:
         """A view of local dofs of a vector field, shape (vertices, d)."""
@@ -104,54 +102,28 @@ class Cells:
         """A view of local dofs of a symmetric tensor field, shape (cells, d (d + 1) / 2)."""
         return values.reshape(-1, self.dimension * (self.dimension + 1) // 2)
 
-    def form(self, projected: bool, coefficients: Sequence[fem.Function]) -> fem.Form:
-        """Return the bilinear form of the matrix on the displacement's space. Collective.
+    @property
+    def couplings(self) -> Ints:
+        """Pairs of the displacement's vertices with a cell in common, shape (pairs, 2)."""
+        return self._couplings_and_places[0]
 
-        The kernel gets the coefficients' values on a cell, then the material's.
-        """
-        V, mesh = self._V, self._V.mesh
-        if self._packed is None:
-            # On owned cells only: a form is integrated over no other.
-            self._packed = fem.Function(fem.functionspace(mesh, ("DG", 0, (3,))), name="material")
-            dofs = self._packed.function_space.dofmap.list[: len(self.parameters), 0]
-            self._packed.x.array.reshape(-1, 3)[dofs] = self.parameters
-        functions = [*coefficients, self._packed]
-        kernel = mpi_jit_decorator(self.code.matrix_kernel)(mesh.comm, projected)
-        integral = (
-            0,
-            kernel,
-            np.arange(len(self.parameters), dtype=np.int32),
-            np.arange(len(functions), dtype=np.int8),
-        )
-        form = fem.form_cpp_class(np.float64)(
-            [V._cpp_object, V._cpp_object],
-            {fem.IntegralType.cell: [integral]},
-            [f._cpp_object for f in functions],
-            [],
-            False,
-            [],
-            mesh._cpp_object,
-        )
-        return fem.Form(form)
+    @property
+    def places(self) -> Ints:
+        """Where the pairs of vertices of each cell are among them, shape (cells, (d + 1)²)."""
+        return self._couplings_and_places[1]
 
-    def matrices(
-        self, projected: bool, coefficients: Sequence[fem.Function], cells: slice
-    ) -> Floats:
-        """Evaluate the kernel of `form` on some of the owned cells, shape (cells, n, n)."""
-        from forms.kernels.compile import call_kernel  # needs numba, which is optional
+    @functools.cached_property
+    def _couplings_and_places(self) -> tuple[Ints, Ints]:
+        dofs = self.u_dofs.astype(np.int64)
+        stride = int(dofs.max(initial=0)) + 1
+        keys = (dofs[:, :, None] * stride + dofs[:, None, :]).reshape(len(dofs), -1)
+        pairs, places = np.unique(keys, return_inverse=True)
+        couplings = np.stack(np.divmod(pairs, stride), axis=1).astype(np.int32)
+        return couplings, places.reshape(keys.shape).astype(np.int32)
 
-        corners, x = self.coordinates
-        X = x[corners[cells]].reshape(-1, 3 * corners.shape[1])
-        packed = []
-        for f in coefficients:
-            dofmap = f.function_space.dofmap
-            dofs = dofmap.list[: len(self.parameters)][cells]
-            packed.append(f.x.array.reshape(-1, dofmap.bs)[dofs])
-        w = np.hstack([*(p.reshape(len(X), -1) for p in packed), self.parameters[cells]])
-        n = self.dimension * self.u_dofs.shape[1]
-        A = np.zeros((len(X), n, n))
-        call_kernel(self.code.matrix_kernel(projected), w, X, A.reshape(len(X), n * n))
-        return A
+    def blocks(self, values: Floats) -> Floats:
+        """A view of blocks of a matrix, shape (pairs, d²)."""
+        return values.reshape(-1, self.dimension**2)
 
 
 def _named(psi: MaterialLike) -> tuple[str, npt.ArrayLike, npt.ArrayLike]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
-import functools
 from collections.abc import Callable
 from typing import Any, cast
 
@@ -19,6 +17,7 @@ Ints = npt.NDArray[np.int32]
 _TYPES = {
     "Array": types.float64[:, ::1],
     "Ints": types.Array(types.int32, 2, "C", readonly=True),
+    "bool": types.boolean,
     "float": types.float64,
     "None": types.void,
 }
@@ -35,43 +34,10 @@ def compiled[F: Callable[..., Any]](function: F) -> F:
 def cell_loop[F: Callable[..., Any]](function: F) -> F:
     """A loop over cells that Python calls, compiled when its module is imported.
 
-    Its arguments are annotated as `Ints` or `Array`, and it returns a float or None.
+    Its arguments are annotated as `Ints`, `Array` or `bool`, and it returns a float or None.
     """
     *arguments, result = (_TYPES[name] for name in function.__annotations__.values())
     return cast(F, numba.njit(result(*arguments), cache=True, **OPTIONS)(function))
-
-
-@functools.cache
-def cell_kernel(function: Callable[..., None]) -> Any:
-    """A kernel with UFCx's signature of an integral over a cell, kept for its `address`."""
-    double = types.CPointer(types.float64)
-    signature = types.void(
-        double,  # the cell's matrix, zero at first
-        double,  # coefficients
-        double,  # constants
-        double,  # coordinates of the vertices, three each
-        types.CPointer(types.intc),
-        types.CPointer(types.uint8),
-        types.CPointer(types.void),
-    )
-    return numba.cfunc(signature, cache=True, **OPTIONS)(function)
-
-
-def call_kernel(address: int, w: Array, X: Array, A: Array) -> None:
-    """Call a kernel of `cell_kernel` for each row of coefficients, coordinates and matrices."""
-    array, unused = ctypes.POINTER(ctypes.c_double), ctypes.c_size_t
-    kernel = ctypes.CFUNCTYPE(None, array, array, unused, array, *(unused,) * 3)(address)
-    _calls()(kernel, w, X, A)
-
-
-@functools.cache
-def _calls() -> Any:
-    @numba.njit
-    def loop(kernel: Any, w: Array, X: Array, A: Array) -> None:
-        for k in range(len(w)):
-            kernel(A[k].ctypes, w[k].ctypes, 0, X[k].ctypes, 0, 0, 0)
-
-    return loop
 
 
 def _local_array(typing_context: Any, size: Any) -> Any:

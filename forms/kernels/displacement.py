@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dolfinx import fem
 
-from forms.kernels.cells import Cells, Floats, MaterialLike
+from forms.kernels.cells import Cells, Floats, Ints, MaterialLike
 
 
 class DisplacementKernel:
@@ -34,18 +34,21 @@ class DisplacementKernel:
         """Add the derivative of the energy with respect to u."""
         self._cells.code.residual(*self._arguments, self._cells.vectors(r_u))
 
-    def matrix_form(self, *, projected: bool = False) -> fem.Form:
-        """Return the form of the tangent matrix; assembling it reads u as it is then. Collective.
+    @property
+    def couplings(self) -> Ints:
+        """Pairs of blocks of u's dofs that share a cell, shape (pairs, 2)."""
+        return self._cells.couplings
+
+    def matrix(self, K: Floats, *, projected: bool = False) -> None:
+        """Add the tangent matrix to K, its d × d blocks of `couplings`, shape (pairs, d, d).
 
         Args:
+            K: What to add to.
             projected: Whether to raise the negative eigenvalues of each cell's tangent ∂²Ψ/∂F² to
                 zero (Smith, de Goes, Kim, 2019).
         """
-        return self._cells.form(projected, [self._u])
-
-    def matrices(self, cells: slice = slice(None), *, projected: bool = False) -> Floats:
-        """Return the part of each of these owned cells in that matrix, shape (cells, n, n)."""
-        return self._cells.matrices(projected, [self._u], cells)
+        cells = self._cells
+        cells.code.matrix(*self._arguments, projected, cells.places, cells.blocks(K))
 
     def energy(self) -> float:
         """Return ∫ Ψ(S(F)) over the cells of this rank [J]."""

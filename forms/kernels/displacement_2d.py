@@ -1,4 +1,4 @@
-"""Loops and matrix of `forms.kernels.displacement` on triangles.
+"""Loops of `forms.kernels.displacement` on triangles.
 
 The tangent is that of the formulation with Y at S = S_F, Y = ∂Ψ/∂S; see there for its projection.
 """
@@ -6,21 +6,17 @@ The tangent is that of the formulation with Y at S = S_F, Y = ∂Ψ/∂S; see th
 from __future__ import annotations
 
 import sys
-from typing import Any
 
-from forms.kernels.compile import Array, carray, cell_kernel, compiled, local_array
+from forms.kernels.compile import Array, carray, compiled, local_array
 from forms.kernels.loops import displacement_loops
+from forms.kernels.triangle import DIMENSION as DIMENSION
 from forms.kernels.triangle import (
     Tuple,
     blocks_to_matrix,
     density,
-    differences,
-    displacement_gradient,
     fill_blocks,
     full,
-    geometry,
     law,
-    plus_identity,
     polar,
     project,
     set_pulled_back,
@@ -45,17 +41,19 @@ def cell_energy(kind: float, mu: float, lam: float, F: Tuple) -> float:
     return density(kind, mu, lam, s)
 
 
-residual, energy = displacement_loops(sys.modules[__name__])
-
-
 @compiled
-def set_matrix(w: Array, X: Array, A: Array, projected: bool) -> None:
-    """A cell's tangent matrix; w packs u and (kind, μ, λ)."""
-    u = w[:6].reshape((3, 2))
-    volume, g = geometry(differences(X, 0, 1, 2))
-    F = plus_identity(displacement_gradient(differences(u, 0, 1, 2), g))
+def set_matrix(
+    volume: float,
+    g: Tuple,
+    F: Tuple,
+    material: tuple[float, float, float],
+    projected: bool,
+    A: Array,
+) -> None:
+    """A cell's tangent matrix."""
     R, s, T_inverse = polar(F)
-    tau, h, c, lam, N = law(w[6], w[7], w[8], s)
+    kind, mu, lam = material
+    tau, h, c, lam, N = law(kind, mu, lam, s)
     C = carray(local_array(16), (4, 4))
     fill_blocks(s, T_inverse, tau, h, c, lam, N, C)
     if projected:
@@ -64,14 +62,4 @@ def set_matrix(w: Array, X: Array, A: Array, projected: bool) -> None:
     set_pulled_back(C, R, volume, g, A)
 
 
-def _exact(A: Any, w: Any, _c: Any, X: Any, _i: Any, _p: Any, _d: Any) -> None:
-    set_matrix(carray(w, 9), carray(X, (3, 3)), carray(A, (6, 6)), False)
-
-
-def _projected(A: Any, w: Any, _c: Any, X: Any, _i: Any, _p: Any, _d: Any) -> None:
-    set_matrix(carray(w, 9), carray(X, (3, 3)), carray(A, (6, 6)), True)
-
-
-def matrix_kernel(projected: bool) -> int:
-    """The address of the tangent matrix's kernel."""
-    return int(cell_kernel(_projected if projected else _exact).address)
+residual, matrix, energy = displacement_loops(sys.modules[__name__], set_matrix)

@@ -1,4 +1,4 @@
-r"""Loops and matrix of `forms.kernels.displacement` on tetrahedra.
+r"""Loops of `forms.kernels.displacement` on tetrahedra.
 
 With N = cof F for the stable neo-Hookean material, a function of F itself, and N = R otherwise,
 
@@ -13,24 +13,20 @@ de Goes and Kim (2019) in F = U Σ Vᵀ: for each pair of directions a twist wit
 from __future__ import annotations
 
 import sys
-from typing import Any
 
 from forms.kernels.cells import AS_RIGID_AS_POSSIBLE, STABLE_NEO_HOOKEAN
-from forms.kernels.compile import Array, carray, cell_kernel, compiled, local_array
+from forms.kernels.compile import Array, carray, compiled, local_array
 from forms.kernels.dense import clamp, diagonalise
 from forms.kernels.loops import displacement_loops
+from forms.kernels.tetrahedron import DIMENSION as DIMENSION
 from forms.kernels.tetrahedron import (
     Tuple,
     cofactor,
     cross,
     density,
-    differences,
-    displacement_gradient,
     fill_stretch_moduli,
     full,
-    geometry,
     law,
-    plus_identity,
     polar,
     rotation,
     row,
@@ -82,9 +78,6 @@ def cell_energy(kind: float, mu: float, lam: float, F: Tuple) -> float:
         return mu * (1.0 - J) + 0.5 * lam * (J - 1.0) ** 2 + 0.5 * mu * (squares - 3.0)
     R = rotation(F)
     return density(kind, mu, lam, sym(times(transpose(R), F)))
-
-
-residual, energy = displacement_loops(sys.modules[__name__])
 
 
 @compiled
@@ -209,27 +202,22 @@ def set_projected(
 
 
 @compiled
-def set_matrix(w: Array, X: Array, A: Array, projected: bool) -> None:
-    """A cell's tangent matrix; w packs u and (kind, μ, λ)."""
-    u = w[:12].reshape((4, 3))
-    volume, g = geometry(differences(X, 0, 1, 2, 3))
-    F = plus_identity(displacement_gradient(differences(u, 0, 1, 2, 3), g))
+def set_matrix(
+    volume: float,
+    g: Tuple,
+    F: Tuple,
+    material: tuple[float, float, float],
+    projected: bool,
+    A: Array,
+) -> None:
+    """A cell's tangent matrix."""
+    kind, mu, lam = material
     if projected:
-        set_projected(w[12], w[13], w[14], F, volume, g, A)
-    elif w[12] == STABLE_NEO_HOOKEAN:
-        set_neo_hookean(w[13], w[14], F, volume, g, A)
+        set_projected(kind, mu, lam, F, volume, g, A)
+    elif kind == STABLE_NEO_HOOKEAN:
+        set_neo_hookean(mu, lam, F, volume, g, A)
     else:
-        set_rotated(w[12], w[13], w[14], F, volume, g, A)
+        set_rotated(kind, mu, lam, F, volume, g, A)
 
 
-def _exact(A: Any, w: Any, _c: Any, X: Any, _i: Any, _p: Any, _d: Any) -> None:
-    set_matrix(carray(w, 15), carray(X, (4, 3)), carray(A, (12, 12)), False)
-
-
-def _projected(A: Any, w: Any, _c: Any, X: Any, _i: Any, _p: Any, _d: Any) -> None:
-    set_matrix(carray(w, 15), carray(X, (4, 3)), carray(A, (12, 12)), True)
-
-
-def matrix_kernel(projected: bool) -> int:
-    """The address of the tangent matrix's kernel."""
-    return int(cell_kernel(_projected if projected else _exact).address)
+residual, matrix, energy = displacement_loops(sys.modules[__name__], set_matrix)

@@ -7,21 +7,45 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from types import ModuleType
+from typing import Any
 
-from forms.kernels.compile import Array, Ints, cell_loop
+from forms.kernels.compile import Array, Ints, carray, cell_loop, compiled, local_array
 
 Loop = Callable[..., float | None]
 
 
-def symmetric_loops(cell: ModuleType) -> tuple[Loop, Loop, Loop, Loop]:
-    """Residual, elimination, recovery and energy, see `SymmetricKernel`."""
+def _adding(cell: ModuleType) -> tuple[int, Callable[..., None]]:
+    """The number of a cell's displacement dofs, and what adds a matrix of them to the blocks."""
+    d = cell.DIMENSION
+
+    @compiled
+    def add_blocks(A: Array, places: Any, blocks: Array) -> None:
+        for a in range(d + 1):
+            for b in range(d + 1):
+                place = places[(d + 1) * a + b]
+                for i in range(d):
+                    for j in range(d):
+                        blocks[place, d * i + j] += A[d * a + i, d * b + j]
+
+    return d * (d + 1), add_blocks
+
+
+def symmetric_loops(cell: ModuleType, set_matrix: Callable[..., None]) -> tuple[Loop, ...]:
+    """Kinematics, residual, matrix, elimination, recovery and energy, see `SymmetricKernel`."""
+    size, add_blocks = _adding(cell)
+    entries = size**2
+
+    @cell_loop
+    def kinematics(geometry_dofs: Ints, x: Array, u_dofs: Ints, u: Array, known: Array) -> None:
+        """Set what depends on the displacement alone: volume, ∇N, R, S_F and T⁻¹."""
+        for k in range(len(known)):
+            volume, g, F = cell.cell_deformation(geometry_dofs[k], x, u_dofs[k], u)
+            cell.keep(known, k, volume, g, cell.polar(F))
 
     @cell_loop
     def residual(
-        geometry_dofs: Ints,
-        x: Array,
+        known: Array,
         u_dofs: Ints,
-        u: Array,
         S_dofs: Ints,
         S: Array,
         Y_dofs: Ints,
@@ -33,9 +57,8 @@ def symmetric_loops(cell: ModuleType) -> tuple[Loop, Loop, Loop, Loop]:
     ) -> None:
         """Add the derivatives of Ψ(S) - Y : S + Y : S_F with respect to u, S and Y."""
         for k in range(len(material)):
-            volume, g, F = cell.cell_deformation(geometry_dofs[k], x, u_dofs[k], u)
+            volume, g, (R, s_F, T_inverse) = cell.kept(known, k)
             i, j = S_dofs[k, 0], Y_dofs[k, 0]
-            R, s_F, T_inverse = cell.polar(F)
             s, y = cell.symmetric_dofs(S, i), cell.symmetric_dofs(Y, j)
             stress, _, _, _, _ = cell.law(material[k, 0], material[k, 1], material[k, 2], s)
             cell.add_stress(
@@ -45,11 +68,31 @@ def symmetric_loops(cell: ModuleType) -> tuple[Loop, Loop, Loop, Loop]:
             cell.add_dual(r_Y, j, volume, s_F, s)
 
     @cell_loop
-    def eliminate(
-        geometry_dofs: Ints,
-        x: Array,
+    def matrix(
+        known: Array,
         u_dofs: Ints,
-        u: Array,
+        S_dofs: Ints,
+        S: Array,
+        Y_dofs: Ints,
+        Y: Array,
+        material: Array,
+        projected: bool,
+        places: Ints,
+        blocks: Array,
+    ) -> None:
+        """Add ∂Sᵀ H ∂S + Y : ∂²S."""
+        A = carray(local_array(entries), (size, size))
+        for k in range(len(material)):
+            volume, g, polar = cell.kept(known, k)
+            s, y = cell.symmetric_dofs(S, S_dofs[k, 0]), cell.symmetric_dofs(Y, Y_dofs[k, 0])
+            parameters = material[k, 0], material[k, 1], material[k, 2]
+            set_matrix(volume, g, polar, s, y, parameters, projected, A)
+            add_blocks(A, places[k], blocks)
+
+    @cell_loop
+    def eliminate(
+        known: Array,
+        u_dofs: Ints,
         S_dofs: Ints,
         S: Array,
         Y_dofs: Ints,
@@ -60,9 +103,8 @@ def symmetric_loops(cell: ModuleType) -> tuple[Loop, Loop, Loop, Loop]:
     ) -> None:
         """Add ∂Sᵀ (b_S + H w⁻¹ b_Y) to b_u."""
         for k in range(len(material)):
-            _, g, F = cell.cell_deformation(geometry_dofs[k], x, u_dofs[k], u)
+            _, g, (R, s_F, T_inverse) = cell.kept(known, k)
             i, j = S_dofs[k, 0], Y_dofs[k, 0]
-            R, s_F, T_inverse = cell.polar(F)
             s = cell.symmetric_dofs(S, i)
             _, h, c, lam, N = cell.law(material[k, 0], material[k, 1], material[k, 2], s)
             p, q = (
@@ -74,10 +116,8 @@ def symmetric_loops(cell: ModuleType) -> tuple[Loop, Loop, Loop, Loop]:
 
     @cell_loop
     def recover(
-        geometry_dofs: Ints,
-        x: Array,
+        known: Array,
         u_dofs: Ints,
-        u: Array,
         S_dofs: Ints,
         S: Array,
         Y_dofs: Ints,
@@ -90,9 +130,8 @@ def symmetric_loops(cell: ModuleType) -> tuple[Loop, Loop, Loop, Loop]:
     ) -> None:
         """Set δs = ∂S δF - (V w)⁻¹ b_Y and δy = w⁻¹ (H δs - V⁻¹ b_S)."""
         for k in range(len(material)):
-            volume, g, F = cell.cell_deformation(geometry_dofs[k], x, u_dofs[k], u)
+            volume, g, (R, s_F, T_inverse) = cell.kept(known, k)
             i, j = S_dofs[k, 0], Y_dofs[k, 0]
-            R, s_F, T_inverse = cell.polar(F)
             s = cell.symmetric_dofs(S, i)
             _, h, c, lam, N = cell.law(material[k, 0], material[k, 1], material[k, 2], s)
             dF = cell.displacement_gradient(cell.vertex_differences(u_dofs[k], du), g)
@@ -113,11 +152,13 @@ def symmetric_loops(cell: ModuleType) -> tuple[Loop, Loop, Loop, Loop]:
             total += volume * cell.density(material[k, 0], material[k, 1], material[k, 2], s)
         return total
 
-    return residual, eliminate, recover, energy
+    return kinematics, residual, matrix, eliminate, recover, energy
 
 
-def displacement_loops(cell: ModuleType) -> tuple[Loop, Loop]:
-    """Residual and energy, see `DisplacementKernel`."""
+def displacement_loops(cell: ModuleType, set_matrix: Callable[..., None]) -> tuple[Loop, ...]:
+    """Residual, matrix and energy, see `DisplacementKernel`."""
+    size, add_blocks = _adding(cell)
+    entries = size**2
 
     @cell_loop
     def residual(
@@ -130,6 +171,25 @@ def displacement_loops(cell: ModuleType) -> tuple[Loop, Loop]:
             cell.add_stress(P, volume, g, u_dofs[k], r_u)
 
     @cell_loop
+    def matrix(
+        geometry_dofs: Ints,
+        x: Array,
+        u_dofs: Ints,
+        u: Array,
+        material: Array,
+        projected: bool,
+        places: Ints,
+        blocks: Array,
+    ) -> None:
+        """Add the second derivative of ∫ Ψ(S_F)."""
+        A = carray(local_array(entries), (size, size))
+        for k in range(len(material)):
+            volume, g, F = cell.cell_deformation(geometry_dofs[k], x, u_dofs[k], u)
+            parameters = material[k, 0], material[k, 1], material[k, 2]
+            set_matrix(volume, g, F, parameters, projected, A)
+            add_blocks(A, places[k], blocks)
+
+    @cell_loop
     def energy(geometry_dofs: Ints, x: Array, u_dofs: Ints, u: Array, material: Array) -> float:
         """∫ Ψ(S_F) over the cells."""
         total = 0.0
@@ -138,4 +198,4 @@ def displacement_loops(cell: ModuleType) -> tuple[Loop, Loop]:
             total += volume * cell.cell_energy(material[k, 0], material[k, 1], material[k, 2], F)
         return total
 
-    return residual, energy
+    return residual, matrix, energy

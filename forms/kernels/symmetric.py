@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 from dolfinx import fem
 
 from forms.kernels.cells import Cells, Floats, Ints, MaterialLike
@@ -50,12 +51,14 @@ class SymmetricKernel:
         n = len(self._cells.parameters)
         self._S_dofs: Ints = S.function_space.dofmap.list[:n]
         self._Y_dofs: Ints = Y.function_space.dofmap.list[:n]
+        # Per cell, and the displacement and coordinates that it belongs to.
+        self._kinematics: Floats = np.empty((n, self._cells.code.KEPT))
+        self._known = [np.full_like(values, np.nan) for values in self._configuration]
 
     def residual(self, r_u: Floats, r_S: Floats, r_Y: Floats) -> None:
         """Add the derivatives of the energy with respect to u, S and Y."""
         cells = self._cells
         cells.code.residual(
-            *cells.coordinates,
             *self._state,
             cells.tensors(self._fields[2].x.array),
             cells.parameters,
@@ -64,26 +67,35 @@ class SymmetricKernel:
             cells.tensors(r_Y),
         )
 
-    def matrix_form(self, *, projected: bool = False) -> fem.Form:
-        """Return the form of K; assembling it reads the fields as they are then. Collective.
+    @property
+    def couplings(self) -> Ints:
+        """Pairs of blocks of u's dofs that share a cell, shape (pairs, 2)."""
+        return self._cells.couplings
+
+    def matrix(self, K: Floats, *, projected: bool = False) -> None:
+        """Add the condensed matrix to K, its d × d blocks of `couplings`, shape (pairs, d, d).
 
         Args:
+            K: What to add to.
             projected: Whether to make each cell's tangent positive semi-definite, by raising the
                 negative eigenvalues of its form on spins to zero and those of H, where Ψ is not
                 convex. It is the same where it is positive semi-definite already, and the
                 displacement method's projected tangent at S = S(F), Y = Ψ'(S).
         """
-        return self._cells.form(projected, self._fields)
-
-    def matrices(self, cells: slice = slice(None), *, projected: bool = False) -> Floats:
-        """Return the part of each of these owned cells in that matrix, shape (cells, n, n)."""
-        return self._cells.matrices(projected, self._fields, cells)
+        cells = self._cells
+        cells.code.matrix(
+            *self._state,
+            cells.tensors(self._fields[2].x.array),
+            cells.parameters,
+            projected,
+            cells.places,
+            cells.blocks(K),
+        )
 
     def eliminate(self, b_S: Floats, b_Y: Floats, b_u: Floats) -> None:
         """Add ∂Sᵀ (b_S + H w⁻¹ b_Y) to b_u."""
         cells = self._cells
         cells.code.eliminate(
-            *cells.coordinates,
             *self._state,
             cells.parameters,
             cells.tensors(b_S),
@@ -95,7 +107,6 @@ class SymmetricKernel:
         """Set δS and δY on owned cells from δu, of which ghosts are read too."""
         cells = self._cells
         cells.code.recover(
-            *cells.coordinates,
             *self._state,
             cells.parameters,
             cells.tensors(b_S),
@@ -112,8 +123,18 @@ class SymmetricKernel:
         return float(cells.code.energy(*cells.coordinates, self._S_dofs, S, cells.parameters))
 
     @property
+    def _configuration(self) -> tuple[Floats, Floats]:
+        return self._fields[0].x.array, self._cells.coordinates[1]
+
+    @property
     def _state(self) -> tuple[Ints | Floats, ...]:
-        """The arguments that all loops share: u and S as they stand, and the dofs of Y."""
-        u, S, _ = (f.x.array for f in self._fields)
+        """What all loops share: kinematics and S as they stand, and dofs."""
         cells = self._cells
-        return cells.u_dofs, cells.vectors(u), self._S_dofs, cells.tensors(S), self._Y_dofs
+        current = self._configuration
+        if not all(map(np.array_equal, current, self._known)):
+            u = cells.vectors(current[0])
+            cells.code.kinematics(*cells.coordinates, cells.u_dofs, u, self._kinematics)
+            for known, values in zip(self._known, current, strict=True):
+                known[:] = values
+        S = cells.tensors(self._fields[1].x.array)
+        return self._kinematics, cells.u_dofs, self._S_dofs, S, self._Y_dofs

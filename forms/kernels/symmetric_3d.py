@@ -1,39 +1,36 @@
-"""Loops and matrix of `forms.kernels.symmetric` on tetrahedra."""
+"""Loops of `forms.kernels.symmetric` on tetrahedra."""
 
 from __future__ import annotations
 
-from typing import Any
-
 from forms.kernels import tetrahedron
-from forms.kernels.compile import Array, carray, cell_kernel, compiled, local_array
+from forms.kernels.compile import Array, carray, compiled, local_array
 from forms.kernels.loops import symmetric_loops
+from forms.kernels.tetrahedron import KEPT as KEPT
 from forms.kernels.tetrahedron import (
+    Tuple,
     blocks_to_matrix,
-    differences,
-    displacement_gradient,
     fill_blocks,
-    geometry,
     law,
-    plus_identity,
-    polar,
     project,
     set_pulled_back,
-    symmetric_dofs,
 )
-
-residual, eliminate, recover, energy = symmetric_loops(tetrahedron)
 
 
 @compiled
-def set_matrix(w: Array, X: Array, A: Array, projected: bool) -> None:
-    """A cell's condensed matrix; w packs u, S, Y and (kind, μ, λ)."""
-    u = w[:12].reshape((4, 3))
-    SY = w[12:24].reshape((2, 6))
-    volume, g = geometry(differences(X, 0, 1, 2, 3))
-    F = plus_identity(displacement_gradient(differences(u, 0, 1, 2, 3), g))
-    R, s_F, T_inverse = polar(F)
-    s, y = symmetric_dofs(SY, 0), symmetric_dofs(SY, 1)
-    _, h, c, lam, N = law(w[24], w[25], w[26], s)
+def set_matrix(
+    volume: float,
+    g: Tuple,
+    polar: tuple[Tuple, Tuple, Tuple],
+    s: Tuple,
+    y: Tuple,
+    material: tuple[float, float, float],
+    projected: bool,
+    A: Array,
+) -> None:
+    """A cell's condensed matrix."""
+    R, s_F, T_inverse = polar
+    kind, mu, lam = material
+    _, h, c, lam, N = law(kind, mu, lam, s)
     C = carray(local_array(81), (9, 9))
     fill_blocks(s_F, T_inverse, y, s, (h, c, lam, N), C)
     if projected:
@@ -42,14 +39,4 @@ def set_matrix(w: Array, X: Array, A: Array, projected: bool) -> None:
     set_pulled_back(C, R, volume, g, A)
 
 
-def _exact(A: Any, w: Any, _c: Any, X: Any, _i: Any, _p: Any, _d: Any) -> None:
-    set_matrix(carray(w, 27), carray(X, (4, 3)), carray(A, (12, 12)), False)
-
-
-def _projected(A: Any, w: Any, _c: Any, X: Any, _i: Any, _p: Any, _d: Any) -> None:
-    set_matrix(carray(w, 27), carray(X, (4, 3)), carray(A, (12, 12)), True)
-
-
-def matrix_kernel(projected: bool) -> int:
-    """The address of the condensed matrix's kernel."""
-    return int(cell_kernel(_projected if projected else _exact).address)
+kinematics, residual, matrix, eliminate, recover, energy = symmetric_loops(tetrahedron, set_matrix)

@@ -52,6 +52,10 @@ from forms.kernels.dense import clamp, diagonalise, is_positive
 
 Tuple = tuple[float, ...]
 
+DIMENSION = 3
+KEPT = 31
+"""Numbers that `keep` keeps of a cell."""
+
 SOFT = 0.01
 """Eigenvalues of H below this part of h keep no coupling to the spin when projected."""
 ROOT = math.sqrt(2.0)
@@ -735,6 +739,27 @@ def cell_deformation(
     """The volume, the gradients of the last three hat functions and F."""
     volume, g = geometry(vertex_differences(geometry_dofs, x))
     return volume, g, plus_identity(displacement_gradient(vertex_differences(u_dofs, u), g))
+
+
+@compiled
+def keep(known: Array, k: int, volume: float, g: Tuple, polar: tuple[Tuple, Tuple, Tuple]) -> None:
+    """Put a cell's kinematics into row k."""
+    R, s, T_inverse = polar
+    known[k, 0] = volume
+    for i in range(9):
+        known[k, 1 + i], known[k, 10 + i] = g[i], R[i]
+    for i in range(6):
+        known[k, 19 + i], known[k, 25 + i] = s[i], T_inverse[i]
+
+
+@compiled
+def kept(known: Array, k: int) -> tuple[float, Tuple, tuple[Tuple, Tuple, Tuple]]:
+    """The volume, the gradients of hat functions and the polar decomposition in row k."""
+    v = known[k]
+    g = (v[1], v[2], v[3], v[4], v[5], v[6], v[7], v[8], v[9])
+    R = (v[10], v[11], v[12], v[13], v[14], v[15], v[16], v[17], v[18])
+    s = (v[19], v[20], v[21], v[22], v[23], v[24])
+    return v[0], g, (R, s, (v[25], v[26], v[27], v[28], v[29], v[30]))
 
 
 @compiled

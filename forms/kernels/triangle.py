@@ -19,6 +19,10 @@ from forms.kernels.tetrahedron import ROOT, SOFT
 
 Tuple = tuple[float, ...]
 
+DIMENSION = 2
+KEPT = 13
+"""Numbers that `keep` keeps of a cell."""
+
 
 # Matrices
 
@@ -115,6 +119,25 @@ def polar(F: Tuple) -> tuple[Tuple, Tuple, float]:
     inverse = 1.0 / math.sqrt(c * c + s * s)  # the root is tr S_F
     R = (c * inverse, -s * inverse, s * inverse, c * inverse)
     return R, sym(times(transpose(R), F)), inverse
+
+
+@compiled
+def keep(known: Array, k: int, volume: float, g: Tuple, polar: tuple[Tuple, Tuple, float]) -> None:
+    """Put a cell's kinematics into row k."""
+    R, s, T_inverse = polar
+    known[k, 0], known[k, 1] = volume, T_inverse
+    for i in range(4):
+        known[k, 2 + i], known[k, 6 + i] = g[i], R[i]
+    for i in range(3):
+        known[k, 10 + i] = s[i]
+
+
+@compiled
+def kept(known: Array, k: int) -> tuple[float, Tuple, tuple[Tuple, Tuple, float]]:
+    """The area, the gradients of hat functions and the polar decomposition in row k."""
+    v = known[k]
+    g, R = (v[2], v[3], v[4], v[5]), (v[6], v[7], v[8], v[9])
+    return v[0], g, (R, (v[10], v[11], v[12]), v[1])
 
 
 @compiled
