@@ -227,7 +227,7 @@ class _Couplings:
         self._prescribed = np.flatnonzero(rows[:, :, None] | columns[:, None, :])
 
     def create_matrix(self) -> PETSc.Mat:
-        """Create a matrix for `insert`, whose pattern is these couplings of all ranks."""
+        """Create a matrix for `insert` with the couplings of all ranks as pattern. Collective."""
         index_map, d = self._dofmap.index_map, self._dofmap.index_map_bs
         numbers = index_map.local_to_global(self._pairs.ravel()).reshape(-1, 2)
         first = d * numbers.astype(PETSc.IntType)
@@ -245,6 +245,7 @@ class _Couplings:
         lgmap = PETSc.LGMap().create(to_global, bsize=d, comm=K.comm)
         K.setLGMap(lgmap, lgmap)
         lgmap.destroy()
+        self.insert(K)  # PETSc duplicates the pattern of assembled matrices only
         return K
 
     def insert(self, K: PETSc.Mat) -> None:
