@@ -1,6 +1,8 @@
 """Loops over the owned cells, the same in 2D and 3D.
 
-`cell` is a module with the functions of one cell. Rows of the material are (kind, μ, λ).
+`cell` is a module with the functions of one cell, and `tangent` one with its `set_matrix`. They are
+modules since numba would not find a loop in its cache that closes over compiled functions. Rows of
+the material are (kind, μ, λ).
 """
 
 from __future__ import annotations
@@ -14,26 +16,21 @@ from forms.kernels.compile import Array, Ints, carray, cell_loop, compiled, loca
 Loop = Callable[..., float | None]
 
 
-def _adding(cell: ModuleType) -> tuple[int, Callable[..., None]]:
-    """The number of a cell's displacement dofs, and what adds a matrix of them to the blocks."""
-    d = cell.DIMENSION
-
-    @compiled
-    def add_blocks(A: Array, places: Any, blocks: Array) -> None:
-        for a in range(d + 1):
-            for b in range(d + 1):
-                place = places[(d + 1) * a + b]
-                for i in range(d):
-                    for j in range(d):
-                        blocks[place, d * i + j] += A[d * a + i, d * b + j]
-
-    return d * (d + 1), add_blocks
+@compiled
+def add_blocks(A: Array, d: int, places: Any, blocks: Array) -> None:
+    """Add the d × d blocks of a cell's matrix to those at its places."""
+    for a in range(d + 1):
+        for b in range(d + 1):
+            place = places[(d + 1) * a + b]
+            for i in range(d):
+                for j in range(d):
+                    blocks[place, d * i + j] += A[d * a + i, d * b + j]
 
 
-def symmetric_loops(cell: ModuleType, set_matrix: Callable[..., None]) -> tuple[Loop, ...]:
+def symmetric_loops(cell: ModuleType, tangent: ModuleType) -> tuple[Loop, ...]:
     """Kinematics, residual, matrix, elimination, recovery and energy, see `SymmetricKernel`."""
-    size, add_blocks = _adding(cell)
-    entries = size**2
+    d: int = cell.DIMENSION
+    size, entries = d * (d + 1), (d * (d + 1)) ** 2
 
     @cell_loop
     def kinematics(geometry_dofs: Ints, x: Array, u_dofs: Ints, u: Array, known: Array) -> None:
@@ -86,8 +83,8 @@ def symmetric_loops(cell: ModuleType, set_matrix: Callable[..., None]) -> tuple[
             volume, g, polar = cell.kept(known, k)
             s, y = cell.symmetric_dofs(S, S_dofs[k, 0]), cell.symmetric_dofs(Y, Y_dofs[k, 0])
             parameters = material[k, 0], material[k, 1], material[k, 2]
-            set_matrix(volume, g, polar, s, y, parameters, projected, A)
-            add_blocks(A, places[k], blocks)
+            tangent.set_matrix(volume, g, polar, s, y, parameters, projected, A)
+            add_blocks(A, d, places[k], blocks)
 
     @cell_loop
     def eliminate(
@@ -155,10 +152,10 @@ def symmetric_loops(cell: ModuleType, set_matrix: Callable[..., None]) -> tuple[
     return kinematics, residual, matrix, eliminate, recover, energy
 
 
-def displacement_loops(cell: ModuleType, set_matrix: Callable[..., None]) -> tuple[Loop, ...]:
+def displacement_loops(cell: ModuleType) -> tuple[Loop, ...]:
     """Residual, matrix and energy, see `DisplacementKernel`."""
-    size, add_blocks = _adding(cell)
-    entries = size**2
+    d: int = cell.DIMENSION
+    size, entries = d * (d + 1), (d * (d + 1)) ** 2
 
     @cell_loop
     def residual(
@@ -186,8 +183,8 @@ def displacement_loops(cell: ModuleType, set_matrix: Callable[..., None]) -> tup
         for k in range(len(material)):
             volume, g, F = cell.cell_deformation(geometry_dofs[k], x, u_dofs[k], u)
             parameters = material[k, 0], material[k, 1], material[k, 2]
-            set_matrix(volume, g, F, parameters, projected, A)
-            add_blocks(A, places[k], blocks)
+            cell.set_matrix(volume, g, F, parameters, projected, A)
+            add_blocks(A, d, places[k], blocks)
 
     @cell_loop
     def energy(geometry_dofs: Ints, x: Array, u_dofs: Ints, u: Array, material: Array) -> float:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 from forms.kernels import triangle
 from forms.kernels.compile import Array, carray, compiled, local_array
 from forms.kernels.loops import symmetric_loops
@@ -39,4 +41,6 @@ def set_matrix(
     set_pulled_back(C, R, volume, g, A)
 
 
-kinematics, residual, matrix, eliminate, recover, energy = symmetric_loops(triangle, set_matrix)
+kinematics, residual, matrix, eliminate, recover, energy = symmetric_loops(
+    triangle, sys.modules[__name__]
+)
