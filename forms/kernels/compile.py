@@ -22,8 +22,13 @@ _TYPES = {
     "None": types.void,
 }
 
-# Fused multiply-add, but no reordering and nothing that would hide a NaN; x / 0 is inf.
-OPTIONS: dict[str, Any] = {"fastmath": {"contract", "nsz"}, "error_model": "numpy"}
+# Fused multiply-add, but no reordering and nothing that would hide a NaN; x / 0 is inf. C does not
+# call them, and what would let it takes time to compile.
+OPTIONS: dict[str, Any] = {
+    "fastmath": {"contract", "nsz"},
+    "error_model": "numpy",
+    "no_cfunc_wrapper": True,
+}
 
 
 def compiled[F: Callable[..., Any]](function: F) -> F:
