@@ -18,13 +18,19 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from solvers.options import CONDENSED_CG, CONDENSED_DIRECT, DIRECT_UP_TO, Options
+from solvers.options import (
+    CONDENSED_CG,
+    CONDENSED_DIRECT,
+    DIRECT_UP_TO,
+    FORCING_LIMITS,
+    Options,
+)
 
 INEXACT: Options = {
     # The linear tolerance follows the nonlinear residual (Eisenstat and Walker, 1996, choice 2).
     "snes_ksp_ew": True,
-    "snes_ksp_ew_rtol0": 1e-4,
-    "snes_ksp_ew_rtolmax": 1e-4,
+    "snes_ksp_ew_rtol0": FORCING_LIMITS[0],
+    "snes_ksp_ew_rtolmax": FORCING_LIMITS[0],
     # Small enough that the last iteration, too, is as good as one of the exact Newton method.
     "snes_ksp_ew_gamma": 0.1,
     "ksp_max_it": 500,

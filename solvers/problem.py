@@ -35,7 +35,7 @@ from solvers.fieldsplit import FieldSplitSolver
 from solvers.layout import BlockLayout
 from solvers.lifetime import destroy_dead, destroy_with
 from solvers.options import ENERGY_RESOLVED, SOLVERS, Options
-from solvers.preconditioners import find
+from solvers.preconditioners import BY_SIZE, find
 from solvers.result import ConvergenceError, SolveResult
 
 logger = logging.getLogger("mixed_fem")
@@ -67,7 +67,7 @@ class MixedProblem:
         bcs: Sequence[fem.DirichletBC] = (),
         *,
         solver: str = "condensed",
-        preconditioner: str = "schur-full",
+        preconditioner: str | None = None,
         kernel: CellKernel | None = None,
         projected: bool = False,
         options: Options | None = None,
@@ -81,8 +81,8 @@ class MixedProblem:
             fields: The unknowns, the displacement first, then cell-local fields if there are any.
             bcs: Dirichlet conditions on the displacement.
             solver: A name in `SOLVERS`.
-            preconditioner: For `solver="fieldsplit"`: a name in `PRECONDITIONERS`, or "schur-full"
-                for a choice by size.
+            preconditioner: For `solver="fieldsplit"`: a name in `PRECONDITIONERS`, or "schur-full",
+                the default, for a choice by size.
             kernel: A compiled kernel (`forms.kernels`) for a part of the energy, which makes up
                 the same Newton system faster; for `solver="condensed"` only.
             projected: Newton's method with the kernel's positive semi-definite tangent and Armijo's
@@ -90,8 +90,8 @@ class MixedProblem:
             options: PETSc options that override the defaults of Newton's method and of `solver`,
                 and are overridden by the command line under the prefix of `problem.solver`. Those
                 that nothing has used after the first solve are logged as a warning. Besides PETSc's
-                there are `monitor_newton` and `monitor_krylov`, which print the residual
-                norm of each field at each Newton or Krylov iteration.
+                there are `monitor_newton` and `monitor_krylov`, which print the residual norm of
+                each field at each Newton or Krylov iteration.
             jit_options: DOLFINx's options for compiling forms.
 
         Raises:
@@ -100,9 +100,11 @@ class MixedProblem:
         """
         if solver not in SOLVERS:
             raise ValueError(f"solver is {solver!r}; available: {', '.join(SOLVERS)}")
+        if preconditioner is not None and solver != "fieldsplit":
+            raise ValueError(f'solver is {solver!r}; a preconditioner goes with "fieldsplit" only')
         dofmap = fields[0].function_space.dofmap
         unknowns = int(dofmap.index_map.size_global * dofmap.index_map_bs)
-        chosen = find(preconditioner, unknowns)
+        chosen = find(preconditioner or BY_SIZE, unknowns)
         if energy.arguments():
             raise ValueError("the energy has test or trial functions; it must be a functional")
         if kernel is not None and solver != "condensed":
@@ -153,11 +155,7 @@ class MixedProblem:
         self.fieldsplit: FieldSplitSolver | None = None
         if solver == "fieldsplit":
             self.fieldsplit = FieldSplitSolver(
-                self.fields,
-                self._layout,
-                snes.getKSP(),
-                chosen,
-                weakly(self._set_options),
+                self.fields, self._layout, snes.getKSP(), chosen, weakly(self._set_options)
             )
         snes.setFromOptions()
         search = snes.getLineSearch().getType()

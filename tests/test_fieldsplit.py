@@ -283,6 +283,8 @@ def test_a_linear_solver_that_fails_says_so():
 def test_what_is_refused():
     with pytest.raises(ValueError, match="preconditioner is 'schur'; available: schur-full, schur"):
         build(2, preconditioner="schur")
+    with pytest.raises(ValueError, match='a preconditioner goes with "fieldsplit" only'):
+        build(2, solver="direct", preconditioner="schur-full")
     msh = small_mesh(2)
     u = displacement_field(msh)
     p = fem.Function(fem.functionspace(msh, ("P", 1)), name="p")
