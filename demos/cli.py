@@ -22,7 +22,7 @@ from demos.run import run
 from demos.scene import KERNELS, MOTIONS, SCHEMES, Overrides, built_in, load
 from demos.tables import SceneError
 from forms import FORMULATIONS, MATERIALS
-from solvers import SOLVERS
+from solvers import PRECONDITIONERS, SOLVERS
 
 COMM = MPI.COMM_WORLD
 
@@ -62,6 +62,7 @@ def _list(_: argparse.Namespace) -> int:
         "motions": MOTIONS,
         "schemes": {name: (s.__doc__ or "").splitlines()[0] for name, s in SCHEMES.items()},
         "solvers": dict(SOLVERS),
+        "preconditioners": {name: p.description for name, p in PRECONDITIONERS.items()},
         "kernels": KERNELS,
         "scenes": {name: load(COMM, name).description for name in built_in()},
         "studies": {name: study.description for name, study in studies.STUDIES.items()},
@@ -69,7 +70,7 @@ def _list(_: argparse.Namespace) -> int:
     for section, entries in sections.items():
         screen.line(section)
         for name, description in entries.items():
-            screen.line(f"  {name:<22}{description}")
+            screen.line(f"  {name:<24}{description}")
     return 0
 
 

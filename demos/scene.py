@@ -27,7 +27,6 @@ MOTIONS = {"fixed": "held where they are"}
 # Planned names: refused as not there yet, so that none is mistaken for a misspelling.
 MOTIONS_TO_COME = ("stretch", "twist", "bend", "translate")
 SCHEMES_TO_COME = ("bdf2", "static")
-SOLVERS_TO_COME = ("fieldsplit",)
 
 
 @dataclass(frozen=True)
@@ -184,7 +183,7 @@ def parse(
     solve.override("formulation", overrides.formulation, "--formulation")
     solve.override("solver", overrides.solver, "--solver")
     formulation = solve.choice("formulation", FORMULATIONS, "symmetric")
-    solver = solve.choice("solver", SOLVERS, "condensed", later=SOLVERS_TO_COME)
+    solver = solve.choice("solver", SOLVERS, "condensed")
     kernels = solve.choice("kernels", KERNELS, "compiled")
     baseline = solve.choice("baseline", FORMULATIONS, "") or None
     solve.close()

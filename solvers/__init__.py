@@ -4,11 +4,13 @@ from mpi4py import MPI  # noqa: F401  (with the PyPI wheel MPI must be imported 
 
 from solvers.compiled import CellKernel
 from solvers.options import SOLVERS
+from solvers.preconditioners import PRECONDITIONERS
 from solvers.problem import MixedProblem
 from solvers.result import ConvergenceError, SolveResult
 from solvers.stepping import TimeScheme, march
 
 __all__ = [
+    "PRECONDITIONERS",
     "SOLVERS",
     "CellKernel",
     "ConvergenceError",

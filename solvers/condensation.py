@@ -28,7 +28,7 @@ import numpy.typing as npt
 from dolfinx import fem, la
 from dolfinx.fem.petsc import create_vector
 
-from solvers.layout import BlockLayout, Ints
+from solvers.layout import BlockLayout, Ints, require_local
 from solvers.options import FACTORISE_UP_TO, FORCING_LIMITS, KEEP_WHILE, MODEST
 
 Floats = npt.NDArray[np.float64]
@@ -205,12 +205,7 @@ class CondensedSolver:
         Raises:
             ValueError: A field other than the first is not local to cells.
         """
-        for f in fields[1:]:
-            if not f.function_space.element.basix_element.discontinuous:
-                raise ValueError(
-                    f"the field {f.name} is not local to cells; condensation needs every field but "
-                    'the first to be discontinuous, or choose solver="direct"'
-                )
+        require_local(fields)
         self._V = fields[0].function_space
         self._make_blocks = make_blocks
         self._blocks: CondensedBlocks | None = None

@@ -78,3 +78,17 @@ class BlockLayout:
         dofmap = self._dofmaps[field]
         index_map = dofmap.index_map
         return int((index_map.size_local + index_map.num_ghosts) * dofmap.index_map_bs)
+
+
+def require_local(fields: Sequence[fem.Function]) -> None:
+    """Insist that every field but the first is local to cells.
+
+    Raises:
+        ValueError: One is not.
+    """
+    for f in fields[1:]:
+        if not f.function_space.element.basix_element.discontinuous:
+            raise ValueError(
+                f"the field {f.name} is not local to cells; condensation needs every field but "
+                'the first to be discontinuous, or choose solver="direct"'
+            )

@@ -100,6 +100,7 @@ MODEST = 1e-2
 
 SOLVERS: Mapping[str, str] = {
     "direct": "LU of the whole block system by MUMPS",
+    "fieldsplit": "block preconditioners by PETSc's field splits on the nested system; FGMRES",
     "condensed": "cell-local fields eliminated; LDLᵀ or CG with GAMG on the displacement (default)",
 }
 """Solvers by name, with a one-line description."""

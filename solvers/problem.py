@@ -31,9 +31,11 @@ from solvers.condensation import (
     CondensedSolver,
     NothingToEliminate,
 )
+from solvers.fieldsplit import FieldSplitSolver
 from solvers.layout import BlockLayout
 from solvers.lifetime import destroy_dead, destroy_with
 from solvers.options import ENERGY_RESOLVED, SOLVERS, Options
+from solvers.preconditioners import BY_SIZE, find
 from solvers.result import ConvergenceError, SolveResult
 
 logger = logging.getLogger("mixed_fem")
@@ -54,6 +56,7 @@ class MixedProblem:
         problem: The `dolfinx.fem.petsc.NonlinearProblem`, or with a kernel what stands in its
             place; its SNES is `problem.solver`.
         condensed: The condensed system with `solver="condensed"`, else None.
+        fieldsplit: The block preconditioner with `solver="fieldsplit"`, else None.
         scales: Unit of each field in the scaled system, found at the first solve.
     """
 
@@ -64,6 +67,7 @@ class MixedProblem:
         bcs: Sequence[fem.DirichletBC] = (),
         *,
         solver: str = "condensed",
+        preconditioner: str | None = None,
         kernel: CellKernel | None = None,
         projected: bool = False,
         options: Options | None = None,
@@ -77,11 +81,17 @@ class MixedProblem:
             fields: The unknowns, the displacement first, then cell-local fields if there are any.
             bcs: Dirichlet conditions on the displacement.
             solver: A name in `SOLVERS`.
+            preconditioner: For `solver="fieldsplit"`: a name in `PRECONDITIONERS`, or "schur-full",
+                the default, for a choice by size.
             kernel: A compiled kernel (`forms.kernels`) for a part of the energy, which makes up
                 the same Newton system faster; for `solver="condensed"` only.
             projected: Newton's method with the kernel's positive semi-definite tangent and Armijo's
                 condition on the energy (Teran et al., 2005), for the displacement alone.
-            options: PETSc options that override the defaults of Newton's method and of `solver`.
+            options: PETSc options that override the defaults of Newton's method and of `solver`,
+                and are overridden by the command line under the prefix of `problem.solver`. Those
+                that nothing has used after the first solve are logged as a warning. Besides PETSc's
+                there are `monitor_newton` and `monitor_krylov`, which print the residual norm of
+                each field at each Newton or Krylov iteration.
             jit_options: DOLFINx's options for compiling forms.
 
         Raises:
@@ -90,6 +100,11 @@ class MixedProblem:
         """
         if solver not in SOLVERS:
             raise ValueError(f"solver is {solver!r}; available: {', '.join(SOLVERS)}")
+        if preconditioner is not None and solver != "fieldsplit":
+            raise ValueError(f'solver is {solver!r}; a preconditioner goes with "fieldsplit" only')
+        dofmap = fields[0].function_space.dofmap
+        unknowns = int(dofmap.index_map.size_global * dofmap.index_map_bs)
+        chosen = find(preconditioner or BY_SIZE, unknowns)
         if energy.arguments():
             raise ValueError("the energy has test or trial functions; it must be a functional")
         if kernel is not None and solver != "condensed":
@@ -108,14 +123,18 @@ class MixedProblem:
         self._cell_data = [c for c in energy.coefficients() if isinstance(c, CellData)]
         self._norms: list[dict[str, float]] = []
         self._residuals: list[float] = []
+        self._krylov: list[int] = []
+        self._inner: list[int] = []
         self._timings: dict[str, float] = {}
 
         logger.info("compiling the residual and the Jacobian (cached on disk afterwards)")
         start = time.perf_counter()
-        prefix = f"mixed_fem_{next(_serial)}_"
+        self._prefix = prefix = f"mixed_fem_{next(_serial)}_"
         self.problem: NonlinearProblem | CompiledProblem
         if kernel is None:
-            self.problem = _nonlinear_problem(energy, self.fields, bcs, prefix, jit_options)
+            self.problem = _nonlinear_problem(
+                energy, self.fields, bcs, prefix, jit_options, nested=solver == "fieldsplit"
+            )
         else:
             self.problem = CompiledProblem(
                 energy, self.fields, bcs, kernel, prefix, projected=projected
@@ -123,14 +142,21 @@ class MixedProblem:
         logger.info("compiled in %.1f s", time.perf_counter() - start)
 
         snes = self.problem.solver
-        ours = _default_options(self.fields, solver, projected)
-        _set_options(self, prefix, {**ours, **(options or {})})
+        # Of the command line's and the user's options those still to be read.
+        self._unread = {*_options_under(prefix), *(options or {})}
+        self._set_options(options or {})
+        self._set_options(_default_options(self.fields, solver, projected))
         self.condensed: CondensedSolver | None = None
         if solver == "condensed":
             self.condensed = CondensedSolver(self.fields, prefix, weakly(self._make_blocks))
             pc = snes.getKSP().getPC()
             pc.setType(PETSc.PC.Type.PYTHON)
             pc.setPythonContext(self.condensed)
+        self.fieldsplit: FieldSplitSolver | None = None
+        if solver == "fieldsplit":
+            self.fieldsplit = FieldSplitSolver(
+                self.fields, self._layout, snes.getKSP(), chosen, weakly(self._set_options)
+            )
         snes.setFromOptions()
         search = snes.getLineSearch().getType()
         if kernel is not None and len(self.fields) > 1 and search == "bt":
@@ -140,6 +166,7 @@ class MixedProblem:
             )
         self._may_search = len(self.fields) > 1 and search == "basic"
         self._watch = False
+        self._split = False
         self._growth_limit = snes.getDivergenceTolerance()
         # PETSc must not keep this object alive, which keeps PETSc's objects alive.
         _, (assemble, _args, kwargs) = snes.getFunction()
@@ -149,6 +176,9 @@ class MixedProblem:
         self._assemble_jacobian = partial(assemble, **kwargs)
         snes.setJacobian(weakly(self._jacobian), A, P)
         snes.setMonitor(weakly(self._monitor))
+        self._monitor_fields = PETSc.Options(prefix).getBool("monitor_newton", False)
+        if PETSc.Options(prefix).getBool("monitor_krylov", False):
+            snes.getKSP().setMonitor(weakly(self._krylov_monitor))
         self._energies: list[float] = []
         if projected:
             snes.setObjective(weakly(self._objective))
@@ -175,11 +205,14 @@ class MixedProblem:
         if isinstance(self.problem, CompiledProblem):
             self.problem.meet_conditions()
         self._norms, self._residuals, self._energies = [], [], []
+        self._krylov, self._inner = [], []
         self._timings = {"residual": 0.0, "jacobian": 0.0}
         if not self._scaled:
             self._set_scales()
         if self.condensed is not None:
             self.condensed.start()
+        if self.fieldsplit is not None:
+            self.fieldsplit.start()
         snes, x = self.problem.solver, self.problem.x
         self._from_fields(x)
         snes.setTolerances(atol=self._round_off())
@@ -187,19 +220,20 @@ class MixedProblem:
         x.pointwiseMult(x, self._D)
         self._to_fields(x)
         self._timings["total"] = time.perf_counter() - start
-        krylov_iterations = snes.getLinearSolveIterations()
         if self.condensed is not None:
-            krylov_iterations = self.condensed.iterations
             notes = self.condensed.notes | notes
             self._timings |= self.condensed.seconds
         else:
-            rest = self._timings["total"] - self._timings["residual"] - self._timings["jacobian"]
-            self._timings["solve"] = rest
+            if self.fieldsplit is not None:
+                self._timings |= self.fieldsplit.seconds
+            self._timings["solve"] = 2 * self._timings["total"] - sum(self._timings.values())
+        self._warn_of_unread_options()
         reason = snes.getConvergedReason()
         result = SolveResult(
             iterations=iterations,
-            krylov_iterations=krylov_iterations,
-            reason=_REASONS[reason],
+            krylov=self._krylov,
+            inner=self._inner,
+            reason=self._explain(reason),
             norms=self._norms,
             residuals=self._residuals,
             timings=self._timings,
@@ -219,10 +253,10 @@ class MixedProblem:
         """
         snes = self.problem.solver
         if not self._may_search:
-            snes.solve(None, x)
+            self._iterate(x)
             return snes.getIterationNumber(), {}
         self._watch = True
-        snes.solve(None, x)
+        self._iterate(x)
         self._watch = False
         snes.setDivergenceTolerance(self._growth_limit)
         iterations = snes.getIterationNumber()
@@ -237,10 +271,25 @@ class MixedProblem:
             self.condensed.restart()
         search = snes.getLineSearch()
         search.setType("l2")
-        snes.solve(None, x)
+        self._iterate(x)
         search.setType("basic")
         note = "full steps diverge: from the start again, with a line search"
         return iterations + snes.getIterationNumber(), {iterations + 1: note}
+
+    def _iterate(self, x: PETSc.Vec) -> None:
+        snes = self.problem.solver
+        snes.solve(None, x)
+        if snes.getConvergedReason() == PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE:
+            self._count_krylov()  # of the iteration that did not come to its end
+
+    def _count_krylov(self) -> None:
+        """Note the linear iterations of the Newton iteration just made."""
+        if self.condensed is not None:
+            self._krylov.append(self.condensed.iterations - sum(self._krylov))
+        else:
+            self._krylov.append(self.problem.solver.getKSP().getIterationNumber())
+        if self.fieldsplit is not None:
+            self._inner.append(self.fieldsplit.inner - sum(self._inner))
 
     def refresh(self) -> None:
         """Recompute all per-cell data from the current fields, for evaluating an expression."""
@@ -270,7 +319,8 @@ class MixedProblem:
         x.pointwiseDivide(x, self._D)
 
     def _to_fields(self, x: PETSc.Vec) -> None:
-        x.ghostUpdate(PETSc.InsertMode.INSERT, PETSc.ScatterMode.FORWARD)
+        for part in x.getNestSubVecs() if x.getType() == PETSc.Vec.Type.NEST else [x]:
+            part.ghostUpdate(PETSc.InsertMode.INSERT, PETSc.ScatterMode.FORWARD)
         assign(x, self.fields)
 
     def _residual(self, snes: PETSc.SNES, x: PETSc.Vec, b: PETSc.Vec) -> None:
@@ -284,6 +334,8 @@ class MixedProblem:
         with self._evaluation("jacobian", x):
             self._assemble_jacobian(snes, self._x, A, P)
             A.diagonalScale(self._D, self._D)
+        if self.fieldsplit is not None:
+            self.fieldsplit.update()
 
     def _objective(self, snes: PETSc.SNES, x: PETSc.Vec) -> float:
         """The energy at scaled unknowns, for the line search."""
@@ -313,6 +365,11 @@ class MixedProblem:
         self._timings[phase] += time.perf_counter() - start
 
     def _monitor(self, snes: PETSc.SNES, iteration: int, norm: float) -> None:
+        if iteration > 0:
+            self._count_krylov()
+        norms = self._field_norms(self.problem.b)
+        if self._monitor_fields:
+            self._print_norms("Newton", iteration, norms)
         if iteration == 0 and self._norms:
             return  # the start again
         if iteration == 0 and self.condensed is not None:
@@ -321,13 +378,24 @@ class MixedProblem:
         if iteration == 1 and self._watch:
             growth = max(1.0, norm / self._residuals[0])
             snes.setDivergenceTolerance(min(self._growth_limit, defaults.DIVERGING * growth))
-        parts = self._layout.split(self.problem.b.array_r)
-        # Not np.dot, which wakes the threads of BLAS.
-        sums = np.array([np.einsum("i,i", part, part) for part in parts])
-        norms = np.sqrt(self._layout.comm.allreduce(sums, op=MPI.SUM)) / self.scales
-        self._norms.append({f.name: float(n) for f, n in zip(self.fields, norms, strict=True)})
+        self._norms.append(norms)
         self._residuals.append(float(norm))
-        logger.debug("Newton %d: %s", iteration, self._norms[-1])
+        logger.debug("Newton %d: %s", iteration, norms)
+
+    def _krylov_monitor(self, ksp: PETSc.KSP, iteration: int, norm: float) -> None:
+        self._print_norms("  Krylov", iteration, self._field_norms(ksp.buildResidual()))
+
+    def _field_norms(self, b: PETSc.Vec) -> dict[str, float]:
+        """The norm of each field's part of a scaled residual, in the field's own units."""
+        # Not np.dot, which wakes the threads of BLAS.
+        sums = np.array([np.einsum("i,i", part, part) for part in self._layout.split(b.array_r)])
+        norms = np.sqrt(self._layout.comm.allreduce(sums, op=MPI.SUM)) / self.scales
+        return {f.name: float(n) for f, n in zip(self.fields, norms, strict=True)}
+
+    def _print_norms(self, method: str, iteration: int, norms: dict[str, float]) -> None:
+        if self._layout.comm.rank == 0:
+            parts = (f"|r_{name}| {norm:.6e}" for name, norm in norms.items())
+            print(f"{method} {iteration:3d}", *parts, sep="  ", flush=True)
 
     def _set_scales(self) -> None:
         """Equilibrate the blocks of the Jacobian at the current state (Ruiz, RAL-TR-2001-034)."""
@@ -352,10 +420,16 @@ class MixedProblem:
         self.scales[:] = scales if np.isfinite(scales).all() else 1.0
         self._scaled = True
         self._D.array_w[:] = np.repeat(self.scales, np.diff(self._layout.offsets))
+        if self.fieldsplit is not None and not self._split:
+            A.diagonalScale(self._D, self._D)
+            snes.setJacobian(weakly(self._jacobian), A, self.fieldsplit.set_up(A))
+            self._split = True
 
     def _block_entries(self, A: PETSc.Mat) -> npt.NDArray[np.float64]:
         """Root mean square of the entries of each block, shape (fields, fields)."""
         n = len(self.fields)
+        if A.getType() == PETSc.Mat.Type.NEST:
+            return self._nested_block_entries(A)
         indptr, columns, values = A.getValuesCSR()
         column_field = self._layout.fields_of(columns)
         row_field = np.repeat(np.arange(n), np.diff(self._layout.offsets))
@@ -368,6 +442,50 @@ class MixedProblem:
         )
         squares, counts = self._layout.comm.allreduce(sums, op=MPI.SUM)
         return np.sqrt(squares / np.maximum(counts, 1)).reshape(n, n)
+
+    def _nested_block_entries(self, A: PETSc.Mat) -> npt.NDArray[np.float64]:
+        n = len(self.fields)
+        sums = np.zeros((2, n, n))
+        for f, g in np.ndindex(n, n):
+            if block := A.getNestSubMatrix(f, g):
+                indptr, _, values = block.getValuesCSR()
+                if f == g == 0:
+                    in_row = np.diff(indptr)
+                    free = np.add.reduceat(values != 0, indptr[:-1]) > 1
+                    values = values[np.repeat(free, in_row)]
+                sums[:, f, g] = np.sum(values**2), np.count_nonzero(values)
+        squares, counts = self._layout.comm.allreduce(sums, op=MPI.SUM)
+        entries: npt.NDArray[np.float64] = np.sqrt(squares / np.maximum(counts, 1))
+        return entries
+
+    def _set_options(self, options: Options) -> None:
+        """Enter options for as long as this object lives, where there are none yet."""
+        database = PETSc.Options(self._prefix)
+        present = _options_under(self._prefix)
+        ours = {key: value for key, value in options.items() if key not in present}
+        for key, value in ours.items():
+            database[key] = value
+
+        def remove() -> None:
+            for key in ours:
+                database.delValue(key)
+
+        weakref.finalize(self, remove)
+
+    def _warn_of_unread_options(self) -> None:
+        """Report the user's options that nothing has asked for, once."""
+        used = PETSc.Options().used
+        unread = [self._prefix + key for key in self._unread if not used(self._prefix + key)]
+        self._unread.clear()
+        if unread and self._layout.comm.rank == 0:
+            logger.warning("options that nothing has used: %s", ", ".join(sorted(unread)))
+
+    def _explain(self, reason: int) -> str:
+        """PETSc's name of the reason, and of the linear solver's where that is to blame."""
+        if reason == PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE:
+            linear = self.problem.solver.getKSP().getConvergedReason()
+            return f"{_REASONS[reason]} ({_LINEAR_REASONS.get(linear, linear)})"
+        return _REASONS[reason]
 
     def _round_off(self) -> float:
         """The scaled residual below which there is only rounding error.
@@ -391,6 +509,8 @@ def _nonlinear_problem(
     bcs: Sequence[fem.DirichletBC],
     prefix: str,
     jit_options: dict[str, Any] | None,
+    *,
+    nested: bool,
 ) -> NonlinearProblem:
     """The Newton system of an energy: its first and second UFL derivatives by block."""
     tests = [ufl.TestFunction(f.function_space) for f in fields]
@@ -405,7 +525,7 @@ def _nonlinear_problem(
         fields,
         J=jacobian,
         bcs=list(bcs),
-        kind="mpi",
+        kind="nest" if nested and len(fields) > 1 else "mpi",
         petsc_options_prefix=prefix,
         jit_options=jit_options,
     )
@@ -427,18 +547,10 @@ def _forget_traversals() -> None:
                 getattr(attribute, "_method_cache", {}).clear()
 
 
-def _set_options(owner: MixedProblem, prefix: str, options: Options) -> None:
-    """Enter options under a prefix for as long as their owner lives; the command line wins."""
-    database = PETSc.Options(prefix)
-    ours = {k: v for k, v in options.items() if not database.hasName(k)}
-    for key, value in ours.items():
-        database[key] = value
-
-    def remove() -> None:
-        for key in ours:
-            database.delValue(key)
-
-    weakref.finalize(owner, remove)
+def _options_under(prefix: str) -> set[str]:
+    """Names of the options there are under a prefix, without it."""
+    # PETSc counts an option that it is asked for as used; this way it is not asked.
+    return {key.removeprefix(prefix) for key in PETSc.Options().getAll() if key.startswith(prefix)}
 
 
 def _default_options(fields: Sequence[fem.Function], solver: str, projected: bool) -> Options:
@@ -447,6 +559,8 @@ def _default_options(fields: Sequence[fem.Function], solver: str, projected: boo
         newton = defaults.PROJECTED
     if solver == "direct":
         return {**newton, **defaults.DIRECT}
+    if solver == "fieldsplit":
+        return newton
     dofmap = fields[0].function_space.dofmap
     small = dofmap.index_map.size_global * dofmap.index_map_bs <= defaults.DIRECT_UP_TO
     condensed = defaults.CONDENSED_DIRECT if small else defaults.CONDENSED_CG
@@ -460,8 +574,14 @@ def _or_none(form: ufl.Form) -> ufl.Form | None:
     return None if form.empty() else form
 
 
-_REASONS = {
-    value: name
-    for name, value in vars(PETSc.SNES.ConvergedReason).items()
-    if isinstance(value, int) and name.startswith(("CONVERGED", "DIVERGED"))
-}
+def _names(reasons: type) -> dict[int, str]:
+    """PETSc's names of its reasons for stopping."""
+    return {
+        value: name
+        for name, value in vars(reasons).items()
+        if isinstance(value, int) and name.startswith(("CONVERGED", "DIVERGED"))
+    }
+
+
+_REASONS = _names(PETSc.SNES.ConvergedReason)
+_LINEAR_REASONS = _names(PETSc.KSP.ConvergedReason)

@@ -11,7 +11,7 @@ class SolveResult:
 
     Attributes:
         iterations: Number of Newton iterations.
-        krylov_iterations: Number of linear iterations over all Newton iterations.
+        krylov: Number of linear iterations of each Newton iteration.
         reason: PETSc's name of the reason for stopping, such as "CONVERGED_FNORM_RELATIVE".
         norms: For the starting point and each Newton iteration, the Euclidean norm of every
             field's residual by field name, in the field's own units (J over the field's unit).
@@ -19,17 +19,26 @@ class SolveResult:
             together, each scaled to make the blocks of the Jacobian comparable. Dimensionless up to
             a common factor; rates of convergence are read from it.
         timings: Wall seconds on this rank by phase: "residual", "jacobian", "solve", "total", and
-            with the condensed solver "condensation" and "setup".
+            "condensation" where cell-local fields are eliminated, "setup" of the preconditioner
+            where the condensed solver makes one.
         notes: What the linear solver had to say, by the number of the Newton iteration.
+        inner: With block preconditioners, of each Newton iteration the number of iterations on the
+            condensed matrix, all its solves together; of applications, if it has no iteration.
     """
 
     iterations: int
-    krylov_iterations: int
+    krylov: list[int]
     reason: str
     norms: list[dict[str, float]] = field(repr=False)
     residuals: list[float] = field(repr=False)
     timings: dict[str, float] = field(repr=False)
     notes: dict[int, str] = field(default_factory=dict, repr=False)
+    inner: list[int] = field(default_factory=list, repr=False)
+
+    @property
+    def krylov_iterations(self) -> int:
+        """Number of linear iterations over all Newton iterations."""
+        return sum(self.krylov)
 
 
 class ConvergenceError(RuntimeError):

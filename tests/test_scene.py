@@ -14,7 +14,7 @@ from demos.scene import Overrides, Scene, built_in, load, parse
 from demos.simulation import build_body
 from demos.tables import SceneError
 from forms import FORMULATIONS, MATERIALS
-from solvers import SOLVERS
+from solvers import PRECONDITIONERS, SOLVERS
 
 COMM = MPI.COMM_WORLD
 
@@ -87,7 +87,7 @@ def test_overrides_win_and_may_repair_what_is_not_available():
         ({"steps": 0}, "--steps 0: must be a whole number of 1 or more"),
         ({"formulation": "sead"}, '--formulation "sead": unknown (did you mean seed?); available'),
         ({"material": "jelly"}, '--material "jelly": unknown; available: as-rigid'),
-        ({"solver": "fieldsplit"}, '--solver "fieldsplit": not available yet; available: direct'),
+        ({"solver": "splitfield"}, '--solver "splitfield": unknown'),
     ],
 )
 def test_overrides_are_checked(override, message):
@@ -150,7 +150,6 @@ WRONG = [
     ),
     ('"backward-euler"', '"bdf2"', 'scheme = "bdf2": not available yet; available: backward-e'),
     ('"backward-euler"', '"static"', 'scheme = "static": not available yet; available: backward'),
-    ('"direct"', '"fieldsplit"', 'solver = "fieldsplit": not available yet; available: direct, c'),
     ("[mesh]\nbox", '[mesh]\ngeometry = "beam"\nbox', "named geometries are not available yet"),
     (
         "[[boundary]]",
@@ -272,7 +271,7 @@ def said(capfd) -> str:
         (["run", "."], ".: cannot be read"),
         (["run", "hanging-bar", "--steps", "many"], "--steps: must be a whole number, not 'many'"),
         (["run", "hanging-bar", "--steps", "0"], "--steps 0: must be a whole number of 1 or more"),
-        (["run", "hanging-bar", "--solver", "fieldsplit"], '--solver "fieldsplit": not available'),
+        (["run", "hanging-bar", "--solver", "fieldspilt"], "(did you mean fieldsplit?)"),
         (["run", "hanging-bar", "--resume", "x.h5"], "--resume is not available yet"),
         (["run", "hanging-bar", "--out", "/dev/null/x"], "--out /dev/null/x: cannot be written to"),
         (["run", "hanging-bar", "--fast"], "unrecognized arguments: --fast"),
@@ -294,7 +293,15 @@ def test_bad_input_gets_one_line_and_exit_code_2(argv, message, capfd):
 def test_list_shows_every_name_there_is(capfd):
     assert main(["list"]) == 0
     out = COMM.bcast(capfd.readouterr().out)
-    for name in (*FORMULATIONS, *MATERIALS, *SOLVERS, *built_in(), "backward-euler", "fixed"):
+    for name in (
+        *FORMULATIONS,
+        *MATERIALS,
+        *SOLVERS,
+        *PRECONDITIONERS,
+        *built_in(),
+        "backward-euler",
+        "fixed",
+    ):
         assert re.search(rf"^  {re.escape(name)}\s+\S+", out, flags=re.M), name
 
 

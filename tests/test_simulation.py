@@ -74,3 +74,11 @@ def test_without_numba_the_slow_way_says_so(tmp_path, monkeypatch, caplog):
         used, _ = simulate(tmp_path, "symmetric", "compiled")
     assert used == "ufl"
     assert "numba is not installed" in caplog.text
+
+
+def test_field_splits_are_a_switch(tmp_path):
+    """`solver = "fieldsplit"` in a scene: the same motion, by UFL, as field splits need blocks."""
+    _, condensed = simulate(tmp_path, "symmetric", "ufl")
+    kernels, split = simulate(tmp_path, "symmetric", 'compiled"\nsolver = "fieldsplit')
+    assert kernels == "ufl"
+    np.testing.assert_allclose(split, condensed, rtol=0, atol=1e-9 * np.abs(condensed).max())
