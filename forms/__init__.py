@@ -6,7 +6,7 @@ solvers derive the Newton system from its integral.
 
 from mpi4py import MPI  # noqa: F401  (with the PyPI wheel MPI must be imported before DOLFINx)
 
-from forms.cell_data import CellData
+from forms.cell_data import CellData, frozen, refresh
 from forms.fields import displacement_field, mixed_fields
 from forms.formulations import (
     FORMULATIONS,
@@ -21,11 +21,21 @@ from forms.materials import (
     MATERIALS,
     AsRigidAsPossible,
     Corotational,
+    FixedCorotational,
+    Fung,
+    Hencky,
     Material,
+    MooneyRivlin,
+    NeoHookean,
+    Ogden,
+    SmithNeoHookean,
     StableNeoHookean,
+    StVenantKirchhoff,
+    by_tag,
+    cell_values,
     lame_parameters,
 )
-from forms.rotation import polar_rotation, right_stretch
+from forms.rotation import linearised_stretch, polar_rotation, right_stretch
 from forms.time import BackwardEuler
 
 __all__ = [
@@ -35,15 +45,28 @@ __all__ = [
     "BackwardEuler",
     "CellData",
     "Corotational",
+    "FixedCorotational",
     "Formulation",
+    "Fung",
+    "Hencky",
     "Material",
+    "MooneyRivlin",
+    "NeoHookean",
+    "Ogden",
+    "SmithNeoHookean",
+    "StVenantKirchhoff",
     "StableNeoHookean",
+    "by_tag",
+    "cell_values",
     "deformation_gradient",
     "displacement",
     "displacement_field",
+    "frozen",
     "lame_parameters",
+    "linearised_stretch",
     "mixed_fields",
     "polar_rotation",
+    "refresh",
     "right_stretch",
     "seed",
     "seed_singular",

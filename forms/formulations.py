@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
 import ufl
 from dolfinx import fem, mesh
 from ufl.algorithms import expand_derivatives
@@ -69,9 +70,12 @@ def displacement(u: fem.Function, psi: StrainEnergy) -> Expr:
 
 def _rest_shear_modulus(psi: StrainEnergy, S: fem.Function) -> Expr:
     """∂²Ψ/∂S₀₁² at S = I [Pa], with S₀₁ and S₁₀ varied independently."""
-    at = ufl.variable(S)
+    d = S.ufl_shape[0]
+    rest = fem.Function(S.function_space)
+    rest.interpolate(lambda X: np.tile(np.eye(d).reshape(-1, 1), X.shape[1]))
+    at = ufl.variable(rest)
     tangent = ufl.diff(ufl.diff(psi(at), at), at)[0, 1, 0, 1]
-    return ufl.replace(expand_derivatives(tangent), {S: ufl.Identity(S.ufl_shape[0])})
+    return ufl.replace(expand_derivatives(tangent), {rest: ufl.Identity(d)})
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,13 @@ from petsc4py import PETSc
 import numpy as np
 from dolfinx import fem, mesh
 
+from forms.discrete import MATERIALS as WITNESSED
 from solvers import MixedProblem
+
+# What breadth in three dimensions is for: the formulations and materials with a witness or a
+# kernel. All of them, in two dimensions, are the matter of test_formulations.
+FIRST_FORMULATIONS = ("symmetric", "seed", "displacement")
+FIRST_MATERIALS = tuple(WITNESSED)
 
 
 def small_mesh(d: int) -> mesh.Mesh:
