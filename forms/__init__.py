@@ -36,6 +36,12 @@ from forms.materials import (
     lame_parameters,
 )
 from forms.rotation import linearised_stretch, polar_rotation, right_stretch
+from forms.stress import (
+    biot_stress,
+    cauchy_stress,
+    first_piola_kirchhoff_stress,
+    von_mises_stress,
+)
 from forms.time import BackwardEuler
 
 __all__ = [
@@ -56,11 +62,14 @@ __all__ = [
     "SmithNeoHookean",
     "StVenantKirchhoff",
     "StableNeoHookean",
+    "biot_stress",
     "by_tag",
+    "cauchy_stress",
     "cell_values",
     "deformation_gradient",
     "displacement",
     "displacement_field",
+    "first_piola_kirchhoff_stress",
     "frozen",
     "lame_parameters",
     "linearised_stretch",
@@ -71,4 +80,5 @@ __all__ = [
     "seed",
     "seed_singular",
     "symmetric",
+    "von_mises_stress",
 ]

@@ -20,6 +20,7 @@ from forms.kernels import DisplacementKernel, SymmetricKernel
 from forms.kinematics import deformation_gradient
 from forms.materials import StrainEnergy
 from forms.rotation import polar_rotation, right_stretch
+from forms.stress import first_piola_kirchhoff_stress
 
 Fields = tuple[fem.Function, ...]
 
@@ -103,11 +104,6 @@ class Formulation:
     kernel: Callable[..., SymmetricKernel | DisplacementKernel] | None = None
 
 
-def _displacement_multiplier(u: fem.Function, psi: StrainEnergy) -> Expr:
-    S = ufl.variable(right_stretch(u))
-    return polar_rotation(u) * ufl.diff(psi(S), S)
-
-
 FORMULATIONS: dict[str, Formulation] = {
     formulation.name: formulation
     for formulation in (
@@ -134,7 +130,7 @@ FORMULATIONS: dict[str, Formulation] = {
             fields=lambda msh: (displacement_field(msh),),
             density=displacement,
             stretch=right_stretch,
-            multiplier=_displacement_multiplier,
+            multiplier=first_piola_kirchhoff_stress,
             kernel=DisplacementKernel,
         ),
     )

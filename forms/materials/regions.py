@@ -18,8 +18,8 @@ def by_tag(
     """Return the strain energy density that is `materials[tag]` on the cells with that tag.
 
     Materials that differ in E and ν alone become one, with Lamé parameters that are constant on
-    each cell. Of the others each cell evaluates its own only, so that none is asked for a stretch
-    of another's cells at which it has no value.
+    each cell. Others are summed, Σₖ χₖ Ψₖ(I + χₖ (S - I)) with χₖ = 1 on the cells of Ψₖ and 0
+    elsewhere, where Ψₖ sees no stretch at which it might have no value.
 
     Args:
         msh: The mesh.
@@ -29,25 +29,20 @@ def by_tag(
     Raises:
         ValueError: A cell has no material. Says which tags have none; on the ranks with such cells.
     """
-    groups: dict[object, dict[int, StrainEnergy]] = {}
+    families: dict[object, dict[int, StrainEnergy]] = {}
     for tag, material in materials.items():
-        groups.setdefault(_family(material), {})[tag] = material
-    number = cell_values(
-        msh, tags, {tag: k for k, members in enumerate(groups.values()) for tag in members}
-    )
-    laws: list[StrainEnergy] = []
-    for members in groups.values():
-        first = next(iter(members.values()))
-        if isinstance(first, Material) and len(members) > 1:
-            laws.append(_with_parameters(msh, tags, members, first, list(materials)))
-        else:
-            laws.append(first)
+        families.setdefault(_family(material), {})[tag] = material
+    laws = [_one_law(msh, tags, members, materials) for members in families.values()]
+    if len(laws) == 1:
+        return laws[0]
+    indicators = [
+        cell_values(msh, tags, {tag: float(tag in members) for tag in materials})
+        for members in families.values()
+    ]
 
     def psi(S: Expr) -> Expr:
-        energy = laws[-1](S)
-        for k, law in enumerate(laws[:-1]):
-            energy = ufl.conditional(ufl.lt(abs(number - k), 0.5), law(S), energy)
-        return energy
+        I = ufl.Identity(S.ufl_shape[0])  # noqa: E741
+        return sum(chi * law(I + chi * (S - I)) for chi, law in zip(indicators, laws, strict=True))
 
     return psi
 
@@ -81,16 +76,18 @@ def _family(psi: StrainEnergy) -> object:
     return type(psi), *(v for k, v in vars(psi).items() if k not in ("E", "nu"))
 
 
-def _with_parameters(
+def _one_law(
     msh: mesh.Mesh,
     tags: mesh.MeshTags,
     members: Mapping[int, StrainEnergy],
-    law: Material,
-    all_tags: list[int],
+    materials: Mapping[int, StrainEnergy],
 ) -> StrainEnergy:
-    """One law with Lamé parameters by cell; on the cells of other laws, its own."""
+    """The materials of a family as one; on the cells of other families, with any parameters."""
+    law = next(iter(members.values()))
+    if not isinstance(law, Material) or len(members) == 1:
+        return law
     mu, lam = (
-        cell_values(msh, tags, {tag: getattr(members.get(tag, law), name) for tag in all_tags})
+        cell_values(msh, tags, {tag: getattr(members.get(tag, law), name) for tag in materials})
         for name in ("mu", "lam")
     )
     return lambda S: law.strain_energy(S, mu, lam)
