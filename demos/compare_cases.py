@@ -98,12 +98,6 @@ def ufl_cases(
     return cases
 
 
-def shear_modulus_at_rest(material: str) -> float:
-    """G₀ = ∂²Ψ/∂S₀₁² at S = I [Pa] with S₀₁ and S₁₀ varied independently."""
-    mu = MATERIALS[material](E, NU).mu
-    return mu if material == "stable-neo-hookean" else 2.0 * mu
-
-
 def renumbered_box() -> tuple[Array, np.ndarray]:
     """A distorted box of 12 tetrahedra with vertices, cells and their corners in random order."""
     body = box(MPI.COMM_SELF, (2.0, 1.0, 1.0), (2, 1, 1))

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 import numpy as np
 import numpy.typing as npt
 import ufl
-from dolfinx import fem
+from dolfinx import fem, mesh
 from ufl.algorithms import extract_coefficients, strip_variables
 from ufl.core.expr import Expr
 
@@ -22,17 +22,25 @@ class CellData(fem.Function):
     Jacobian.
     """
 
-    def __init__(self, expression: Expr, shape: tuple[int, ...], name: str) -> None:
+    def __init__(
+        self,
+        expression: Expr,
+        shape: tuple[int, ...],
+        name: str,
+        msh: mesh.Mesh | None = None,
+    ) -> None:
         """Compile the expression (cached on disk afterwards) and compute the values.
 
         Args:
-            expression: What the data are computed from; it has a finite element function in it.
+            expression: What the data are computed from.
             shape: Shape of the data on a cell.
             name: Name of the function.
+            msh: The mesh, needed if no finite element function is in the expression.
         """
         expression = strip_variables(expression)
         coefficients = extract_coefficients(expression)
-        msh = coefficients[0].function_space.mesh
+        if msh is None:
+            msh = coefficients[0].function_space.mesh
         super().__init__(fem.functionspace(msh, ("DG", 0, shape)), name=name)
         self._inner = [c for c in coefficients if isinstance(c, CellData)]
         points = self.function_space.element.interpolation_points
@@ -67,7 +75,7 @@ class _Frozen(CellData):
         return values
 
 
-def frozen(expression: Expr) -> CellData:
+def frozen(expression: Expr, msh: mesh.Mesh | None = None) -> CellData:
     """Return the present value of an expression, the derivative of which counts as zero.
 
     In an energy it makes Newton's method lag the expression: residuals are those of the present
@@ -75,8 +83,9 @@ def frozen(expression: Expr) -> CellData:
 
     Args:
         expression: Constant on each cell, of any shape.
+        msh: The mesh, needed if no finite element function is in the expression.
     """
-    return _Frozen(expression, expression.ufl_shape, "frozen")
+    return _Frozen(expression, expression.ufl_shape, "frozen", msh)
 
 
 def refresh(expressions: Iterable[Expr | ufl.Form]) -> None:

@@ -148,3 +148,16 @@ def linearised_stretch(u: fem.Function) -> Expr:
         a = ufl.as_vector([A[2, 1] - A[1, 2], A[0, 2] - A[2, 0], A[1, 0] - A[0, 1]])
         turn = _cross(ufl.inv(ufl.tr(S) * ufl.Identity(3) - S) * a)
     return ufl.sym(A - turn * S)
+
+
+def quaternion_rotation(q: Expr) -> Expr:
+    """Return the rotation in SO(d) of a quaternion, in 2D of a complex number, of any length.
+
+    Args:
+        q: Shape (4,), scalar part first, or (2,), real part first; not zero.
+    """
+    if len(q) == 2:
+        return ufl.as_matrix([[q[0], -q[1]], [q[1], q[0]]]) / ufl.sqrt(ufl.inner(q, q))
+    v = ufl.as_vector([q[1], q[2], q[3]])
+    turned = (q[0] ** 2 - ufl.inner(v, v)) * ufl.Identity(3) + 2 * q[0] * _cross(v)
+    return (turned + 2 * ufl.outer(v, v)) / ufl.inner(q, q)

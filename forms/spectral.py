@@ -29,6 +29,10 @@ Floats = npt.NDArray[np.float64]
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(6)
 _NODES, _WEIGHTS = (_NODES + 1.0) / 2.0, _WEIGHTS / 2.0
+# The same on the triangle 0 <= t₂ <= t₁ <= 1.
+_T1 = np.repeat(_NODES, 6)
+_T2 = _T1 * np.tile(_NODES, 6)
+_AREAS = _T1 * np.outer(_WEIGHTS, _WEIGHTS).ravel()
 # Gauss's rule with these nodes is exact to rounding up to this fraction of the radius; beyond,
 # differences of f lose no more than two digits.
 _NEAR = 0.25
@@ -108,13 +112,9 @@ class _SpectralData(CellData):
         A[lost] = np.eye(A.shape[1])
         lam, V = np.linalg.eigh(A)
         with np.errstate(all="ignore"):
-            differences = np.stack(
-                [
-                    divided_difference(self._f, *lam.T[list(indices)])
-                    for order in self._orders
-                    for indices in order
-                ],
-                axis=1,
+            columns = [[lam[:, list(at)] for at in zip(*o, strict=True)] for o in self._orders]
+            differences = np.concatenate(
+                [divided_difference(self._f, *arguments) for arguments in columns], axis=1
             )
         differences[lost] = np.nan
         return np.concatenate([V.reshape(len(A), -1), lam, differences], axis=1)
@@ -146,22 +146,19 @@ def divided_difference(f: ScalarFunction, *at: Floats) -> Floats:
 
     Args:
         f: The function.
-        at: One to three arrays of the same shape (n,), ascending: a <= b <= c.
+        at: One to three arrays of the same shape, ascending: a <= b <= c.
     """
     if len(at) == 1:
         return f.value(at[0])
     a, *_, c = at
-    # Hermite and Genocchi: f[a, b] is the mean of f' from a to b, f[a, b, c] that of f''/2 over
-    # the triangle of the mixtures of a, b and c.
+    # Hermite and Genocchi: f[a, b] is the mean of f' from a to b, f[a, b, c] the integral of f''
+    # over the triangle of the mixtures of a, b and c.
     if len(at) == 2:
-        close = sum(w * f.first(a + t * (c - a)) for t, w in zip(_NODES, _WEIGHTS, strict=True))
+        close = f.first(a[..., None] + np.multiply.outer(c - a, _NODES)) @ _WEIGHTS
     else:
         b = at[1]
-        close = sum(
-            w * v * t * f.second(a + t * (b - a + s * (c - b)))
-            for t, w in zip(_NODES, _WEIGHTS, strict=True)
-            for s, v in zip(_NODES, _WEIGHTS, strict=True)
-        )
+        mixtures = np.multiply.outer(b - a, _T1) + np.multiply.outer(c - b, _T2)
+        close = f.second(a[..., None] + mixtures) @ _AREAS
     near = c - a <= _NEAR * np.minimum(f.radius(a), f.radius(c))
     gap = np.where(near, 1.0, c - a)
     distant = (divided_difference(f, *at[1:]) - divided_difference(f, *at[:-1])) / gap

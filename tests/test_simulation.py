@@ -112,13 +112,8 @@ def test_stress_with_kernels_is_that_of_the_present_rotation(tmp_path):
         material="corotational",
         solver="condensed",
     )
-    for plane, space in (
-        ("[2.0, 1.0]", "[2.0, 1.0, 1.0]"),
-        ("[4, 2]", "[2, 1, 1]"),
-        ("-9.8]", "-9.8, 0.0]"),
-    ):
-        assert plane in text
-        text = text.replace(plane, space)
+    text = text.replace("[2.0, 1.0]", "[2.0, 1.0, 1.0]").replace("[4, 2]", "[2, 1, 1]")
+    text = text.replace("-9.8]", "-9.8, 0.0]")
     if MPI.COMM_WORLD.rank == 0:
         path.write_text(text, encoding="utf-8")
     MPI.COMM_WORLD.barrier()
