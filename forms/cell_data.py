@@ -19,7 +19,8 @@ class CellData(fem.Function):
     UFL treats it as a constant, so an expression that uses it must carry its derivative in another
     way (see `forms.rotation`), or do without (see `frozen`). A solver finds every `CellData` among
     the coefficients of an energy and calls `refresh` before each evaluation of a residual or a
-    Jacobian.
+    Jacobian. A form or expression that is evaluated by itself is for its owner to `refresh`; what
+    DOLFINx compiles keeps the numbers, not the object that recomputes them.
     """
 
     def __init__(

@@ -83,7 +83,7 @@ def rotation_field(
     modulus of Ψ at rest. There is no polar decomposition: UFL's derivatives are exact to every
     order, and nothing is singular where σ₂ + σ₃ = 0. It pays where third derivatives are wanted,
     and as a check on the polar rotation. It costs 19 local unknowns a tetrahedron in place of 12,
-    and Newton iterations when cells turn far in a step, since q follows F only to first order.
+    and fails first as time steps grow, since q follows F only to first order.
 
     Args:
         u: Displacement [m], shape (d,).
@@ -104,7 +104,7 @@ def lagged_rotation(u: fem.Function, S: fem.Function, Y: fem.Function, psi: Stra
     residual vanish with S Y - Y S, so that the solutions are those of `symmetric`. Newton's method
     is linear: each iteration multiplies the error by the spectral radius of what the matrix lacks,
     relative to it, which goes to zero with the stress. The condensed matrix is positive definite
-    where ∂²Ψ is. It pays for small stresses, and where forms must compile fast.
+    where ∂²Ψ is. It pays for small stresses, where that rate is as good as quadratic.
 
     Args:
         u: Displacement [m], shape (d,).
@@ -138,9 +138,9 @@ def hu_washizu(u: fem.Function, S: fem.Function, Sigma: fem.Function, psi: Strai
 
     S = S(F) needs a rotation, its square S² = FᵀF does not; the multiplier is then the second
     Piola-Kirchhoff stress Σ, with P = F Σ and ∂Ψ/∂S = sym(S Σ). Polynomial in the kinematics, it
-    compiles fastest and needs no per-cell data. It pays for small rotations in a step and as a
-    route that shares nothing with the polar decomposition. The constraint is quadratic in F, as in
-    a displacement method, and Newton's method suffers from that. det F < 0 goes unnoticed.
+    compiles fast, needs no per-cell data and is exact to every order. It pays for small steps,
+    and as a route that shares nothing with the polar decomposition. The constraint is quadratic in
+    F, which costs Newton iterations in large steps. det F < 0 goes unnoticed.
 
     H. Hu, On some variational principles in the theory of elasticity and plasticity, Scientia
     Sinica 4 (1955); K. Washizu, MIT report (1955).
@@ -159,10 +159,11 @@ def log_strain(u: fem.Function, H: fem.Function, T: fem.Function, psi: StrainEne
     """Ψ(exp H) - T : (H - ½ log FᵀF): the strain is Hencky's, S = exp H.
 
     S is positive definite whatever Newton's method makes of H, so that Ψ with a logarithm or a
-    negative power in it always has a value: no iterate falls out of its domain, which in the other
-    mixed forms ends a solve. tr H = ln J is linear. Those are the materials for which it pays. T is
-    the stress conjugate to H, σ rotated back times J. As in `hu_washizu` there is no rotation, and
-    det F < 0 goes unnoticed; functions of tensors cost per-cell eigenvalues (`forms.spectral`).
+    negative power in it always has a value: no iterate falls out of its domain, which costs the
+    other mixed forms their full steps. tr H = ln J is linear. Those are the materials for which it
+    pays. T is the stress conjugate to H, σ rotated back times J. As in `hu_washizu` there is no
+    rotation, and det F < 0 goes unnoticed; functions of tensors cost eigenvalues cell by cell
+    (`forms.spectral`).
 
     Args:
         u: Displacement [m], shape (d,).

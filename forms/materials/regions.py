@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from mpi4py import MPI
+
 import numpy as np
 import ufl
 from dolfinx import fem, mesh
@@ -17,6 +19,8 @@ def by_tag(
 ) -> StrainEnergy:
     """Return the strain energy density that is `materials[tag]` on the cells with that tag.
 
+    Collective.
+
     Materials that differ in E and ν alone become one, with Lamé parameters that are constant on
     each cell. Others are summed, Σₖ χₖ Ψₖ(I + χₖ (S - I)) with χₖ = 1 on the cells of Ψₖ and 0
     elsewhere, where Ψₖ sees no stretch at which it might have no value.
@@ -27,18 +31,18 @@ def by_tag(
         materials: Materials by tag.
 
     Raises:
-        ValueError: A cell has no material. Says which tags have none; on the ranks with such cells.
+        ValueError: On all ranks: a cell has no material. Says which tags have none.
     """
     families: dict[object, dict[int, StrainEnergy]] = {}
     for tag, material in materials.items():
         families.setdefault(_family(material), {})[tag] = material
-    laws = [_one_law(msh, tags, members, materials) for members in families.values()]
-    if len(laws) == 1:
-        return laws[0]
     indicators = [
         cell_values(msh, tags, {tag: float(tag in members) for tag in materials})
         for members in families.values()
     ]
+    laws = [_one_law(msh, tags, members, materials) for members in families.values()]
+    if len(laws) == 1:
+        return laws[0]
 
     def psi(S: Expr) -> Expr:
         I = ufl.Identity(S.ufl_shape[0])  # noqa: E741
@@ -48,7 +52,7 @@ def by_tag(
 
 
 def cell_values(msh: mesh.Mesh, tags: mesh.MeshTags, values: Mapping[int, float]) -> fem.Function:
-    """Return the DG0 function that is `values[tag]` on the cells with that tag.
+    """Return the DG0 function that is `values[tag]` on the cells with that tag. Collective.
 
     Args:
         msh: The mesh.
@@ -56,16 +60,21 @@ def cell_values(msh: mesh.Mesh, tags: mesh.MeshTags, values: Mapping[int, float]
         values: A value for each tag.
 
     Raises:
-        ValueError: A cell has no value. Says which tags have none; on the ranks with such cells.
+        ValueError: On all ranks: a cell has no value. Says which tags have none.
     """
     space = fem.functionspace(msh, ("DG", 0))
     f = fem.Function(space)
     f.x.array[:] = np.nan
     for tag, value in values.items():
         f.x.array[space.dofmap.list[tags.find(tag), 0]] = value
-    if np.isnan(f.x.array).any():
-        bare = sorted(set(tags.values.tolist()) - set(values)) or "none at all"
-        raise ValueError(f"cells tagged {bare} are given nothing; there is {sorted(values)}")
+    used = msh.comm.allgather(set(tags.values.tolist()))
+    bare = sorted(set.union(*used) - set(values))
+    if bare:
+        raise ValueError(
+            f"cells tagged {bare} are given nothing; the tags given are {sorted(values)}"
+        )
+    if msh.comm.allreduce(bool(np.isnan(f.x.array).any()), MPI.LOR):
+        raise ValueError("some cells have no tag; each needs one")
     return f
 
 
