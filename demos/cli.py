@@ -131,9 +131,9 @@ def _parser() -> argparse.ArgumentParser:
     runner = commands.add_parser(
         "run",
         help="compute a scene and write its results and picture",
-        description="Compute a scene. Written to DIR: final.npz (X, x, v, S, Lam, in the order of "
-        "the mesh file), history.csv (a row a step), newton.csv (a row a Newton iteration), "
-        "fields/fields.pvd (for ParaView), picture.png.",
+        description="Compute a scene. Written to DIR: final.npz (X, x, v, S, Lam, von_mises, in "
+        "the order of the mesh file), history.csv (a row a step), newton.csv (a row a Newton "
+        "iteration), fields/fields.pvd (for ParaView), picture.png.",
     )
     runner.add_argument(
         "scene", metavar="SCENE", help="name of a built-in scene, or path of a TOML file"

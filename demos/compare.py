@@ -16,8 +16,7 @@ import numpy as np
 from demos.compare_cases import BODIES, Case, ufl_cases
 from demos.compare_equations import CONDENSED, Hook, items
 from demos.progress import Screen
-from forms import MATERIALS
-from forms.discrete import ERRATA
+from forms.discrete import ERRATA, MATERIALS
 
 TOLERANCE = 1e-10
 """Largest relative difference, in the block's own norm."""

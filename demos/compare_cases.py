@@ -25,6 +25,7 @@ from forms import (
     seed_singular,
     symmetric,
 )
+from forms.discrete import MATERIALS as WITNESSED
 from forms.discrete import Polar, State, symmetric_basis, symmetric_dofs
 from meshes import Body, box
 from meshes.raw import domain
@@ -83,7 +84,7 @@ def ufl_cases(
     comm: MPI.Comm,
     screen: Screen,
     bodies: tuple[str, ...] = BODIES,
-    materials: tuple[str, ...] = tuple(MATERIALS),
+    materials: tuple[str, ...] = tuple(WITNESSED),
 ) -> list[Case]:
     """Assemble every case, the same on all ranks. Collective."""
     cases: list[Case] = []
@@ -95,12 +96,6 @@ def ufl_cases(
             cases += side.cases(material)
     screen.progress("UFL", len(kinds), len(kinds))
     return cases
-
-
-def shear_modulus_at_rest(material: str) -> float:
-    """G₀ = ∂²Ψ/∂S₀₁² at S = I [Pa] with S₀₁ and S₁₀ varied independently."""
-    mu = MATERIALS[material](E, NU).mu
-    return mu if material == "stable-neo-hookean" else 2.0 * mu
 
 
 def renumbered_box() -> tuple[Array, np.ndarray]:

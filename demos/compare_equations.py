@@ -16,7 +16,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from demos.compare_assembly import FIELDS, Array
-from demos.compare_cases import ACCELERATION, NU, RHO, Case, E, H, shear_modulus_at_rest
+from demos.compare_cases import ACCELERATION, NU, RHO, Case, E, H
 from forms import MATERIALS as UFL_MATERIALS
 from forms.discrete import (
     MATERIALS,
@@ -81,7 +81,7 @@ def items(case: Case, hook: Hook = lambda system: system) -> Iterator[Item]:
     }
     if formulation == "seed":
         printed = hook(SeedSystem(**common, second_derivatives=False))
-        exact = hook(SeedSystem(**common, eps=1.0 / shear_modulus_at_rest(material)))
+        exact = hook(SeedSystem(**common, eps=1.0 / parameters.mu))
         yield from _rotation(case, printed)
         yield from _cell_by_cell(case, printed)
         yield from _newton_system(

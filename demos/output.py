@@ -38,7 +38,8 @@ class Output:
 
     - ``history.csv``: a row a step, on disk when the step is done.
     - ``newton.csv``: a row a Newton iteration, the starting point being iteration 0.
-    - ``fields/fields.pvd``: displacement u [m] and |S - I| of each step, for ParaView.
+    - ``fields/fields.pvd``: displacement u [m], |S - I| and von Mises stress [Pa] of each step, for
+      ParaView.
     - ``final.npz``: see `final_state`.
 
     Files of a former run are removed from the folder, others are left alone.
@@ -68,8 +69,9 @@ class Output:
             self._comm, folder / "newton.csv", ["step", "iteration", "residual", *residuals, "note"]
         )
         self._u = simulation.fields[0]
-        strain_space = fem.functionspace(simulation.body.mesh, ("DG", 0))
-        self._strain = fem.Function(strain_space, name="|S - I|")
+        on_cells = fem.functionspace(simulation.body.mesh, ("DG", 0))
+        self._strain = fem.Function(on_cells, name="|S - I|")
+        self._von_mises = fem.Function(on_cells, name="von Mises stress")
         self._vtk = VTKFile(self._comm, str(folder / "fields" / "fields.pvd"), "w")
         self._write_fields()
 
@@ -124,8 +126,10 @@ class Output:
         cells = space.dofmap.list[: len(self.simulation.body.file_cells)].ravel()
         strain = self.simulation.stretch() - np.eye(self.simulation.body.mesh.geometry.dim)
         self._strain.x.array[cells] = np.linalg.norm(strain, axis=(1, 2))
-        self._strain.x.scatter_forward()
-        self._vtk.write_function([self._u, self._strain], self.simulation.scheme.t)
+        self._von_mises.x.array[cells] = self.simulation.von_mises()
+        for f in (self._strain, self._von_mises):
+            f.x.scatter_forward()
+        self._vtk.write_function([self._u, self._strain, self._von_mises], self.simulation.scheme.t)
 
 
 def final_state(simulation: Simulation) -> dict[str, Array] | None:
@@ -134,8 +138,9 @@ def final_state(simulation: Simulation) -> dict[str, Array] | None:
     Returns:
         On rank 0 ``X`` and ``x``, rest and present positions [m], and ``v``, velocity [m/s], of
         shape (vertices, d); ``S``, right stretch, and ``Lam``, first Piola-Kirchhoff stress [Pa],
-        of shape (cells, d, d); ``cells``, vertex numbers of shape (cells, d + 1), each row in
-        ascending order; ``t``, the time [s]. None on other ranks.
+        of shape (cells, d, d); ``von_mises``, that stress [Pa], of shape (cells,); ``cells``,
+        vertex numbers of shape (cells, d + 1), each row in ascending order; ``t``, the time [s].
+        None on other ranks.
     """
     body, scheme = simulation.body, simulation.scheme
     comm, geometry = body.mesh.comm, body.mesh.geometry
@@ -145,14 +150,19 @@ def final_state(simulation: Simulation) -> dict[str, Array] | None:
     )
     u = _gather_vertices(body, simulation.fields[0])
     v = _gather_vertices(body, scheme.v)
-    cells = gather(comm, body.file_cells, np.sort(body.file_connectivity()), body.num_cells)
-    S = gather(comm, body.file_cells, simulation.stretch(), body.num_cells)
-    Lam = gather(comm, body.file_cells, simulation.stress(), body.num_cells)
-    if X is None or u is None or v is None or cells is None or S is None or Lam is None:
+    of_cells = {
+        name: gather(comm, body.file_cells, values, body.num_cells)
+        for name, values in (
+            ("S", simulation.stretch()),
+            ("Lam", simulation.stress()),
+            ("von_mises", simulation.von_mises()),
+            ("cells", np.sort(body.file_connectivity())),
+        )
+    }
+    if X is None or u is None or v is None:
         return None
-    return {
-        "X": X, "x": X + u, "v": v, "S": S, "Lam": Lam, "cells": cells, "t": np.array(scheme.t)
-    }  # fmt: skip
+    cells = {name: values for name, values in of_cells.items() if values is not None}
+    return {"X": X, "x": X + u, "v": v, **cells, "t": np.array(scheme.t)}
 
 
 def _gather_vertices(body: Body, function: fem.Function[Any]) -> Array | None:

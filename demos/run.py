@@ -153,9 +153,9 @@ def _told(result: SolveResult) -> str:
 
 
 def _parameters(scene: Scene) -> str:
-    values = ", ".join(f"E = {m.E:g} Pa, nu = {m.nu:g}" for m in scene.materials[:1])
+    first = scene.materials[0]
     more = f" and {len(scene.materials) - 1} more" if len(scene.materials) > 1 else ""
-    return f"{scene.psi}, {values}{more}"
+    return f"{first.name}, E = {first.E:g} Pa, nu = {first.nu:g}{more}"
 
 
 def _size(body: Body) -> str:

@@ -20,7 +20,8 @@ BUILT_IN = Path(__file__).parent / "scenes"
 
 SCHEMES = {"backward-euler": BackwardEuler}
 KERNELS = {
-    "compiled": "the package's own numba kernels where it has some; elsewhere as ufl",
+    "auto": "compiled where there are some and numba is installed, elsewhere ufl (default)",
+    "compiled": "the package's own numba kernels; refused where there are none",
     "ufl": "what UFL and FFCx make of the energy, for any energy; the slow one",
 }
 MOTIONS = {"fixed": "held where they are"}
@@ -40,11 +41,12 @@ class MeshSource:
 
 @dataclass(frozen=True)
 class Material:
-    """Young's modulus E [Pa], Poisson's ratio, density [kg/m³] of the cells with a tag.
+    """Strain energy, Young's modulus E [Pa], Poisson's ratio, density [kg/m³] of cells with a tag.
 
     Without a tag, of all cells.
     """
 
+    name: str
     E: float
     nu: float
     rho: float
@@ -68,8 +70,7 @@ class Scene:
         source: The file as the user named it, for messages.
         description: One line for `mixed-fem list`.
         mesh: The body.
-        psi: Name of the strain energy Ψ(S).
-        materials: Its parameters: one set for all cells, or one for each cell tag.
+        materials: One for all cells, or one for each cell tag.
         boundaries: Constrained vertex sets; none leaves the body free.
         gravity: Acceleration, d entries, or none at all for weightlessness. [m/s²]
         h: Time step. [s]
@@ -85,7 +86,6 @@ class Scene:
     source: str
     description: str
     mesh: MeshSource
-    psi: str
     materials: tuple[Material, ...]
     boundaries: tuple[Boundary, ...]
     gravity: tuple[float, ...]
@@ -166,7 +166,7 @@ def parse(
     root = Table(source, "", data)
     description = root.text("description", "")
     mesh = _mesh(root.table("mesh"), path.parent)
-    psi, materials = _materials(root.tables("material", required=True), overrides)
+    materials = _materials(root.tables("material", required=True), overrides)
     boundaries = tuple(_boundary(table) for table in root.tables("boundary"))
     load_table = root.table("load", required=False)
     gravity = load_table.numbers("gravity", ())
@@ -184,7 +184,7 @@ def parse(
     solve.override("solver", overrides.solver, "--solver")
     formulation = solve.choice("formulation", FORMULATIONS, "symmetric")
     solver = solve.choice("solver", SOLVERS, "condensed")
-    kernels = solve.choice("kernels", KERNELS, "compiled")
+    kernels = solve.choice("kernels", KERNELS, "auto")
     baseline = solve.choice("baseline", FORMULATIONS, "") or None
     solve.close()
     root.close()
@@ -193,7 +193,6 @@ def parse(
         source=source,
         description=description,
         mesh=mesh,
-        psi=psi,
         materials=materials,
         boundaries=boundaries,
         gravity=gravity,
@@ -228,12 +227,11 @@ def _mesh(table: Table, folder: Path) -> MeshSource:
     return MeshSource(size=size, cells=tuple(int(n) for n in cells))
 
 
-def _materials(tables: list[Table], overrides: Overrides) -> tuple[str, tuple[Material, ...]]:
-    names: list[str] = []
+def _materials(tables: list[Table], overrides: Overrides) -> tuple[Material, ...]:
     materials: list[Material] = []
     for table in tables:
         table.override("name", overrides.material, "--material")
-        names.append(table.choice("name", MATERIALS))
+        name = table.choice("name", MATERIALS)
         E = table.positive("E", "a Young's modulus in Pa")
         nu = table.number("nu")
         if not -1 < nu < 0.5:
@@ -243,10 +241,8 @@ def _materials(tables: list[Table], overrides: Overrides) -> tuple[str, tuple[Ma
         if tag in [m.tag for m in materials]:
             table.fail("tag", "names cells that already have a material")
         table.close()
-        materials.append(Material(E, nu, rho, tag))
-    if len(set(names)) > 1:
-        tables[-1].fail("name", "different strain energies in one body are not available yet")
-    return names[0], tuple(materials)
+        materials.append(Material(name, E, nu, rho, tag))
+    return tuple(materials)
 
 
 def _boundary(table: Table) -> Boundary:

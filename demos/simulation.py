@@ -17,7 +17,17 @@ from ufl.core.expr import Expr
 
 from demos.scene import SCHEMES, Scene
 from demos.tables import SceneError
-from forms import FORMULATIONS, MATERIALS, Formulation
+from forms import (
+    FORMULATIONS,
+    MATERIALS,
+    Formulation,
+    by_tag,
+    cell_values,
+    lame_parameters,
+    refresh,
+    von_mises_stress,
+)
+from forms.kernels import MATERIALS as KERNEL_MATERIALS
 from meshes import Body, MeshError, box, read
 from solvers import CellKernel, MixedProblem, SolveResult, march
 
@@ -83,7 +93,8 @@ class Simulation:
             formulation: Name of the formulation; the one of the scene is not looked at.
 
         Raises:
-            SceneError: A boundary holds no vertex of the body.
+            SceneError: A boundary holds no vertex of the body, or the scene insists on kernels that
+                there are not.
         """
         form = FORMULATIONS[formulation]
         self.body = body
@@ -92,26 +103,26 @@ class Simulation:
         self.scheme = SCHEMES[scene.scheme](u, scene.h, scene.gravity)
         psi, rho = _material(scene, body)
         energy = self.scheme.kinetic(rho) * ufl.dx
-        kernel = None
-        if scene.kernels == "compiled" and scene.solver == "condensed":
-            kernel = _kernel(form, self.fields, scene, body)
+        kernel = None if scene.kernels == "ufl" else _kernel(form, self.fields, scene, body)
         if kernel is None:
             energy = form.density(*self.fields, psi) * ufl.dx + energy
         self.kernels = "ufl" if kernel is None else "compiled"
         self.problem = MixedProblem(
             energy, self.fields, _bcs(scene, body, u), solver=scene.solver, kernel=kernel
         )
+        stretch = form.stretch(*self.fields)
         self._energies = [
-            fem.form(density * ufl.dx)
+            density * ufl.dx
             for density in (
                 self.scheme.kinetic_energy(rho),
-                psi(form.stretch(*self.fields)),
+                psi(stretch),
                 self.scheme.potential_energy(rho),
             )
         ]
-        points = np.full((1, body.mesh.geometry.dim), 1 / (body.mesh.geometry.dim + 1))
-        self._stretch = fem.Expression(form.stretch(*self.fields), points)
-        self._stress = fem.Expression(form.multiplier(*self.fields, psi), points)
+        self._compiled_energies = [fem.form(energy) for energy in self._energies]
+        self._stretch = _OnCells(stretch, body)
+        self._stress = _OnCells(form.multiplier(*self.fields, psi), body)
+        self._von_mises = _OnCells(von_mises_stress(stretch, psi), body)
 
     def march(self, steps: int) -> Iterator[SolveResult]:
         """Yield the result of each step.
@@ -123,65 +134,91 @@ class Simulation:
 
     def energies(self) -> Energies:
         """Energies after the last step. Collective."""
-        self.problem.refresh()
+        refresh(self._energies)
         comm = self.body.mesh.comm
-        local = [fem.assemble_scalar(form) for form in self._energies]
+        local = [fem.assemble_scalar(form) for form in self._compiled_energies]
         return Energies(*(float(comm.allreduce(value)) for value in local))
 
     def stretch(self) -> npt.NDArray[np.float64]:
         """Right stretch S on the owned cells, shape (owned cells, d, d)."""
-        return self._on_cells(self._stretch)
+        return self._stretch.values()
 
     def stress(self) -> npt.NDArray[np.float64]:
         """First Piola-Kirchhoff stress Λ [Pa] on the owned cells, shape (owned cells, d, d)."""
-        return self._on_cells(self._stress)
+        return self._stress.values()
 
-    def _on_cells(self, expression: fem.Expression[Any]) -> npt.NDArray[np.float64]:
-        self.problem.refresh()
-        d = self.body.mesh.geometry.dim
-        cells = np.arange(len(self.body.file_cells), dtype=np.int32)
-        return np.asarray(expression.eval(self.body.mesh, cells)).reshape(-1, d, d)
+    def von_mises(self) -> npt.NDArray[np.float64]:
+        """Von Mises stress [Pa] on the owned cells, shape (owned cells,)."""
+        return self._von_mises.values()
 
 
-def _parameters(scene: Scene, body: Body) -> npt.NDArray[np.float64]:
-    """μ, λ [Pa] and ρ [kg/m³] of each local cell, ghosts included, shape (3, cells)."""
-    kind = MATERIALS[scene.psi]
-    values = np.empty((3, len(body.cell_tags.values)))
-    for given in scene.materials:
-        material = kind(given.E, given.nu)
-        cells = slice(None) if given.tag is None else body.cell_tags.find(given.tag)
-        values[:, cells] = [[material.mu], [material.lam], [given.rho]]
-    return values
+class _OnCells:
+    """An expression in the middle of each owned cell."""
+
+    def __init__(self, expression: Expr, body: Body) -> None:
+        d = body.mesh.geometry.dim
+        self._expression, self._mesh = expression, body.mesh
+        self._compiled = fem.Expression(expression, np.full((1, d), 1 / (d + 1)))
+        self._cells = np.arange(len(body.file_cells), dtype=np.int32)
+
+    def values(self) -> npt.NDArray[np.float64]:
+        """Present values, shape (owned cells, *shape of the expression)."""
+        refresh([self._expression])
+        return np.asarray(self._compiled.eval(self._mesh, self._cells)[:, 0], dtype=np.float64)
 
 
 def _material(scene: Scene, body: Body) -> tuple[Callable[[Expr], Expr], float | Expr]:
-    """Strain energy and density; several materials become piecewise constant parameters."""
+    """Strain energy and density, by cell tag if there are several materials."""
     first = scene.materials[0]
-    material = MATERIALS[scene.psi](first.E, first.nu)
     if len(scene.materials) == 1:
-        return material, first.rho
-    space = fem.functionspace(body.mesh, ("DG", 0))
-    mu, lam, rho = (fem.Function(space) for _ in range(3))
-    for f, values in zip((mu, lam, rho), _parameters(scene, body), strict=True):
-        f.x.array[space.dofmap.list.ravel()] = values
-    return (lambda S: material.strain_energy(S, mu, lam)), rho
+        return MATERIALS[first.name](first.E, first.nu), first.rho
+    laws = {m.tag: MATERIALS[m.name](m.E, m.nu) for m in scene.materials if m.tag is not None}
+    densities = {m.tag: m.rho for m in scene.materials if m.tag is not None}
+    return (
+        by_tag(body.mesh, body.cell_tags, laws),
+        cell_values(body.mesh, body.cell_tags, densities),
+    )
 
 
 def _kernel(
     form: Formulation, fields: tuple[fem.Function[Any], ...], scene: Scene, body: Body
 ) -> CellKernel | None:
-    """The compiled kernel of a formulation; None, and a warning, where there is none."""
-    if form.kernel is None:
-        return None
-    owned = body.mesh.topology.index_map(body.mesh.topology.dim).size_local
-    mu, lam, _ = _parameters(scene, body)[:, :owned]
-    try:
-        return form.kernel(*fields, (scene.psi, mu, lam))
-    except ModuleNotFoundError as error:
-        if error.name != "numba":
-            raise
-        logger.warning("numba is not installed: the Newton system by UFL alone, the slow way")
-        return None
+    """The compiled kernel of a formulation, or None where there is none.
+
+    Raises:
+        SceneError: There is none, and the scene insists on one.
+    """
+    names = {m.name for m in scene.materials}
+    if scene.solver != "condensed":
+        reason = f'none go with the solver "{scene.solver}"; take "condensed"'
+    elif form.kernel is None:
+        known = ", ".join(name for name, f in FORMULATIONS.items() if f.kernel is not None)
+        reason = f'there are none for the formulation "{form.name}"; there are for {known}'
+    elif len(names) > 1 or not names <= set(KERNEL_MATERIALS):
+        spelled = ", ".join(sorted(names))
+        known = ", ".join(KERNEL_MATERIALS)
+        reason = f"there are none for {spelled}; there are for one strain energy out of {known}"
+    else:
+        mu, lam = _lame_parameters(scene, body)
+        try:
+            return form.kernel(*fields, (names.pop(), mu, lam))
+        except ModuleNotFoundError as error:
+            if error.name != "numba":
+                raise
+            reason = "numba is not installed"
+            logger.warning("%s: the Newton system by UFL alone, the slow way", reason)
+    if scene.kernels == "compiled":
+        raise SceneError(f'{scene.source}: [solve] kernels = "compiled": {reason}')
+    return None
+
+
+def _lame_parameters(scene: Scene, body: Body) -> npt.NDArray[np.float64]:
+    """μ and λ [Pa] of each owned cell, shape (2, owned cells)."""
+    values = np.empty((2, len(body.cell_tags.values)))
+    for given in scene.materials:
+        cells = slice(None) if given.tag is None else body.cell_tags.find(given.tag)
+        values[:, cells] = np.array([lame_parameters(given.E, given.nu)]).T
+    return values[:, : len(body.file_cells)]
 
 
 def _bcs(scene: Scene, body: Body, u: fem.Function[Any]) -> list[fem.DirichletBC[Any]]:

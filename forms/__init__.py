@@ -6,12 +6,17 @@ solvers derive the Newton system from its integral.
 
 from mpi4py import MPI  # noqa: F401  (with the PyPI wheel MPI must be imported before DOLFINx)
 
-from forms.cell_data import CellData
+from forms.cell_data import CellData, frozen, refresh
 from forms.fields import displacement_field, mixed_fields
 from forms.formulations import (
     FORMULATIONS,
     Formulation,
     displacement,
+    gauss_newton,
+    hu_washizu,
+    lagged_rotation,
+    log_strain,
+    rotation_field,
     seed,
     seed_singular,
     symmetric,
@@ -21,11 +26,32 @@ from forms.materials import (
     MATERIALS,
     AsRigidAsPossible,
     Corotational,
+    FixedCorotational,
+    Fung,
+    Hencky,
     Material,
+    MooneyRivlin,
+    NeoHookean,
+    Ogden,
+    SmithNeoHookean,
     StableNeoHookean,
+    StVenantKirchhoff,
+    by_tag,
+    cell_values,
     lame_parameters,
 )
-from forms.rotation import polar_rotation, right_stretch
+from forms.rotation import (
+    linearised_stretch,
+    polar_rotation,
+    quaternion_rotation,
+    right_stretch,
+)
+from forms.stress import (
+    biot_stress,
+    cauchy_stress,
+    first_piola_kirchhoff_stress,
+    von_mises_stress,
+)
 from forms.time import BackwardEuler
 
 __all__ = [
@@ -35,17 +61,40 @@ __all__ = [
     "BackwardEuler",
     "CellData",
     "Corotational",
+    "FixedCorotational",
     "Formulation",
+    "Fung",
+    "Hencky",
     "Material",
+    "MooneyRivlin",
+    "NeoHookean",
+    "Ogden",
+    "SmithNeoHookean",
+    "StVenantKirchhoff",
     "StableNeoHookean",
+    "biot_stress",
+    "by_tag",
+    "cauchy_stress",
+    "cell_values",
     "deformation_gradient",
     "displacement",
     "displacement_field",
+    "first_piola_kirchhoff_stress",
+    "frozen",
+    "gauss_newton",
+    "hu_washizu",
+    "lagged_rotation",
     "lame_parameters",
+    "linearised_stretch",
+    "log_strain",
     "mixed_fields",
     "polar_rotation",
+    "quaternion_rotation",
+    "refresh",
     "right_stretch",
+    "rotation_field",
     "seed",
     "seed_singular",
     "symmetric",
+    "von_mises_stress",
 ]

@@ -1,7 +1,9 @@
 """Mixed Lagrangians: short functions from fields to an energy density [J/m³] (seed, eq. 1).
 
 Each leaves out the kinetic term, which a time scheme adds (`forms.time`). Λ is the first
-Piola-Kirchhoff stress at a stationary point: ∂L/∂S = 0 reads ∂Ψ/∂S = sym(RᵀΛ).
+Piola-Kirchhoff stress at a stationary point: ∂L/∂S = 0 reads ∂Ψ/∂S = sym(RᵀΛ). With P1
+displacements and fields that are constant on each cell, all of them have the positions of
+`displacement`; what differs is the way of Newton's method there, and what an iteration costs.
 """
 
 from __future__ import annotations
@@ -9,16 +11,24 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
 import ufl
 from dolfinx import fem, mesh
-from ufl.algorithms import expand_derivatives
 from ufl.core.expr import Expr
 
+from forms import spectral
+from forms.cell_data import frozen
 from forms.fields import displacement_field, mixed_fields
 from forms.kernels import DisplacementKernel, SymmetricKernel
 from forms.kinematics import deformation_gradient
 from forms.materials import StrainEnergy
-from forms.rotation import polar_rotation, right_stretch
+from forms.rotation import (
+    linearised_stretch,
+    polar_rotation,
+    quaternion_rotation,
+    right_stretch,
+)
+from forms.stress import first_piola_kirchhoff_stress
 
 Fields = tuple[fem.Function, ...]
 
@@ -62,16 +72,154 @@ def seed_singular(u: fem.Function, S: fem.Function, Lam: fem.Function, psi: Stra
     return psi(S) - ufl.inner(Lam, R * S - F)
 
 
+def rotation_field(
+    u: fem.Function, S: fem.Function, Lam: fem.Function, q: fem.Function, psi: StrainEnergy
+) -> Expr:
+    """Ψ(S) - Λ : (R(q) S - F) - G₀/4 (|q|² - 1)²: the rotation is an unknown of its own.
+
+    R(q) is the rotation of a quaternion q of any length, in 2D of a complex number. Now all nine
+    multipliers are independent: ∂L/∂R = 0 makes RᵀΛ symmetric where the seed's form has a null
+    space. The last term fixes the length of q, on which nothing else depends; G₀ is the shear
+    modulus of Ψ at rest. There is no polar decomposition: UFL's derivatives are exact to every
+    order, and nothing is singular where σ₂ + σ₃ = 0. It pays where third derivatives are wanted,
+    and as a check on the polar rotation. It costs 19 local unknowns a tetrahedron in place of 12,
+    and fails first as time steps grow, since q follows F only to first order.
+
+    Args:
+        u: Displacement [m], shape (d,).
+        S: Right stretch [-], symmetric, shape (d, d).
+        Lam: First Piola-Kirchhoff stress Λ [Pa], shape (d, d).
+        q: Quaternion [-], shape (4,), or complex number, shape (2,).
+        psi: Strain energy density of S.
+    """
+    excess = ufl.inner(q, q) - 1
+    constraint = ufl.inner(Lam, quaternion_rotation(q) * S - deformation_gradient(u))
+    return psi(S) - constraint - _rest_shear_modulus(psi, S) / 4 * excess**2
+
+
+def lagged_rotation(u: fem.Function, S: fem.Function, Y: fem.Function, psi: StrainEnergy) -> Expr:
+    """`symmetric` with R frozen over a Newton iteration: Ψ(S) - Y : S + R̄ : F Y.
+
+    The iteration forgets ∂R, as corotational methods do. For isotropic Ψ the terms forgotten in the
+    residual vanish with S Y - Y S, so that the solutions are those of `symmetric`. Newton's method
+    is linear: each iteration multiplies the error by the spectral radius of what the matrix lacks,
+    relative to it, which goes to zero with the stress. The condensed matrix is positive definite
+    where ∂²Ψ is. It pays for small stresses, where that rate is as good as quadratic.
+
+    Args:
+        u: Displacement [m], shape (d,).
+        S: Right stretch [-], symmetric, shape (d, d).
+        Y: Rotated first Piola-Kirchhoff stress RᵀΛ [Pa], symmetric, shape (d, d).
+        psi: Strain energy density of S; isotropic.
+    """
+    R, F = frozen(polar_rotation(u)), deformation_gradient(u)
+    return psi(S) - ufl.inner(Y, S) + ufl.inner(R, F * Y)
+
+
+def gauss_newton(u: fem.Function, S: fem.Function, Y: fem.Function, psi: StrainEnergy) -> Expr:
+    """`symmetric` without ∂²S(F): Ψ(S) - Y : (S - S̄(F)), S̄ the linearisation of S(F) at present.
+
+    What the method's authors do: the second derivative of the constraint is dropped. Residuals are
+    exact, the Newton matrix lacks Y : ∂²S. The condensed matrix M/h² + ∂Sᵀ ∂²Ψ ∂S is positive
+    definite where ∂²Ψ is, whatever the stress, so that conjugate gradients need no guard. That is
+    when it pays; otherwise Newton's method has become linear, at a rate that grows with the stress.
+
+    Args:
+        u: Displacement [m], shape (d,).
+        S: Right stretch [-], symmetric, shape (d, d).
+        Y: Rotated first Piola-Kirchhoff stress RᵀΛ [Pa], symmetric, shape (d, d).
+        psi: Strain energy density of S.
+    """
+    return psi(S) - ufl.inner(Y, S - linearised_stretch(u))
+
+
+def hu_washizu(u: fem.Function, S: fem.Function, Sigma: fem.Function, psi: StrainEnergy) -> Expr:
+    """Ψ(S) - ½ Σ : (S² - FᵀF): three fields without any rotation, after Hu and Washizu.
+
+    S = S(F) needs a rotation, its square S² = FᵀF does not; the multiplier is then the second
+    Piola-Kirchhoff stress Σ, with P = F Σ and ∂Ψ/∂S = sym(S Σ). Polynomial in the kinematics, it
+    compiles fast, needs no per-cell data and is exact to every order. It pays for small steps,
+    and as a route that shares nothing with the polar decomposition. The constraint is quadratic in
+    F, which costs Newton iterations in large steps. det F < 0 goes unnoticed.
+
+    H. Hu, On some variational principles in the theory of elasticity and plasticity, Scientia
+    Sinica 4 (1955); K. Washizu, MIT report (1955).
+
+    Args:
+        u: Displacement [m], shape (d,).
+        S: Right stretch [-], symmetric, shape (d, d).
+        Sigma: Second Piola-Kirchhoff stress Σ [Pa], symmetric, shape (d, d).
+        psi: Strain energy density of S.
+    """
+    F = deformation_gradient(u)
+    return psi(S) - ufl.inner(Sigma, S * S - F.T * F) / 2
+
+
+def log_strain(u: fem.Function, H: fem.Function, T: fem.Function, psi: StrainEnergy) -> Expr:
+    """Ψ(exp H) - T : (H - ½ log FᵀF): the strain is Hencky's, S = exp H.
+
+    S is positive definite whatever Newton's method makes of H, so that Ψ with a logarithm or a
+    negative power in it always has a value: no iterate falls out of its domain, which costs the
+    other mixed forms their full steps. tr H = ln J is linear. Those are the materials for which it
+    pays. T is the stress conjugate to H, σ rotated back times J. As in `hu_washizu` there is no
+    rotation, and det F < 0 goes unnoticed; functions of tensors cost eigenvalues cell by cell
+    (`forms.spectral`).
+
+    Args:
+        u: Displacement [m], shape (d,).
+        H: Logarithmic strain [-], symmetric, shape (d, d).
+        T: Stress conjugate to H [Pa], symmetric, shape (d, d).
+        psi: Strain energy density of S.
+    """
+    return psi(spectral.exp(H)) - ufl.inner(T, H - _hencky_strain(deformation_gradient(u)))
+
+
+def _hencky_strain(F: Expr) -> Expr:
+    return spectral.log(F.T * F) / 2
+
+
+def _stress_of_log_strain(u: fem.Function, T: fem.Function) -> Expr:
+    """P = ∂/∂F T : ½ log FᵀF."""
+    F = ufl.variable(deformation_gradient(u))
+    return ufl.diff(ufl.inner(T, _hencky_strain(F)), F)
+
+
+def _rotation_fields(msh: mesh.Mesh) -> Fields:
+    u, S, Lam = mixed_fields(msh, multiplier="full")
+    size = {2: 2, 3: 4}[len(u)]
+    q = fem.Function(fem.functionspace(msh, ("DG", 0, (size,))), name="q")
+    q.x.array[::size] = 1.0
+    return u, S, Lam, q
+
+
+def _log_strain_fields(msh: mesh.Mesh) -> Fields:
+    u, H, T = mixed_fields(msh)
+    H.name, T.name = "H", "T"
+    H.x.array[:] = 0.0
+    return u, H, T
+
+
+def _hu_washizu_fields(msh: mesh.Mesh) -> Fields:
+    u, S, Sigma = mixed_fields(msh)
+    Sigma.name = "Sigma"
+    return u, S, Sigma
+
+
 def displacement(u: fem.Function, psi: StrainEnergy) -> Expr:
     """Ψ(S(F)) of the displacement alone: the classical method, the baseline of comparisons."""
     return psi(right_stretch(u))
 
 
 def _rest_shear_modulus(psi: StrainEnergy, S: fem.Function) -> Expr:
-    """∂²Ψ/∂S₀₁² at S = I [Pa], with S₀₁ and S₁₀ varied independently."""
-    at = ufl.variable(S)
-    tangent = ufl.diff(ufl.diff(psi(at), at), at)[0, 1, 0, 1]
-    return ufl.replace(expand_derivatives(tangent), {S: ufl.Identity(S.ufl_shape[0])})
+    """¼ ∂²Ψ[D, D] [Pa] at S = I on each cell, D the shear D₀₁ = D₁₀ = 1."""
+    d = S.ufl_shape[0]
+    rest, shear = fem.Function(S.function_space), fem.Function(S.function_space)
+    rest.interpolate(lambda X: np.tile(np.eye(d).reshape(-1, 1), X.shape[1]))
+    D = np.zeros((d, d))
+    D[0, 1] = D[1, 0] = 1.0
+    shear.interpolate(lambda X: np.tile(D.reshape(-1, 1), X.shape[1]))
+    twice = ufl.derivative(ufl.derivative(psi(rest), rest, shear), rest, shear)
+    return frozen(twice / 4, S.function_space.mesh)
 
 
 @dataclass(frozen=True)
@@ -88,6 +236,8 @@ class Formulation:
             shape (d, d).
         kernel: Function from (*fields, psi) to a compiled kernel of the density with `psi` a
             built-in material, or None where there is no such kernel.
+        exact: Whether UFL's Newton matrix is the derivative of the residual. If not, Newton's
+            method converges linearly.
     """
 
     name: str
@@ -97,11 +247,7 @@ class Formulation:
     stretch: Callable[..., Expr]
     multiplier: Callable[..., Expr]
     kernel: Callable[..., SymmetricKernel | DisplacementKernel] | None = None
-
-
-def _displacement_multiplier(u: fem.Function, psi: StrainEnergy) -> Expr:
-    S = ufl.variable(right_stretch(u))
-    return polar_rotation(u) * ufl.diff(psi(S), S)
+    exact: bool = True
 
 
 FORMULATIONS: dict[str, Formulation] = {
@@ -125,12 +271,54 @@ FORMULATIONS: dict[str, Formulation] = {
             multiplier=lambda u, S, Lam, psi: Lam,
         ),
         Formulation(
+            "rotation-field",
+            "eq. (1) with R an unknown quaternion of each cell: nine multipliers, all independent",
+            fields=_rotation_fields,
+            density=rotation_field,
+            stretch=lambda u, S, Lam, q: S,
+            multiplier=lambda u, S, Lam, q, psi: Lam,
+        ),
+        Formulation(
+            "lagged-rotation",
+            "symmetric with R frozen over a Newton iteration; Newton is linear",
+            fields=mixed_fields,
+            density=lagged_rotation,
+            stretch=lambda u, S, Y: S,
+            multiplier=lambda u, S, Y, psi: polar_rotation(u) * Y,
+            exact=False,
+        ),
+        Formulation(
+            "gauss-newton",
+            "symmetric with ∂²S(F) dropped, as published: definite matrices; Newton is linear",
+            fields=mixed_fields,
+            density=gauss_newton,
+            stretch=lambda u, S, Y: S,
+            multiplier=lambda u, S, Y, psi: polar_rotation(u) * Y,
+            exact=False,
+        ),
+        Formulation(
+            "hu-washizu",
+            "Ψ(S) - ½ Σ : (S² - FᵀF): no rotation at all; Σ is the second Piola-Kirchhoff stress",
+            fields=_hu_washizu_fields,
+            density=hu_washizu,
+            stretch=lambda u, S, Sigma: S,
+            multiplier=lambda u, S, Sigma, psi: deformation_gradient(u) * Sigma,
+        ),
+        Formulation(
+            "log-strain",
+            "Ψ(exp H) - T : (H - ½ log FᵀF): S = exp H is positive definite whatever H",
+            fields=_log_strain_fields,
+            density=log_strain,
+            stretch=lambda u, H, T: spectral.exp(H),
+            multiplier=lambda u, H, T, psi: _stress_of_log_strain(u, T),
+        ),
+        Formulation(
             "displacement",
             "Ψ(S(F)) in the displacement alone: the classical Newton method, the baseline",
             fields=lambda msh: (displacement_field(msh),),
             density=displacement,
             stretch=right_stretch,
-            multiplier=_displacement_multiplier,
+            multiplier=first_piola_kirchhoff_stress,
             kernel=DisplacementKernel,
         ),
     )

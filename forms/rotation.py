@@ -32,7 +32,7 @@ import ufl
 from dolfinx import fem
 from ufl.core.expr import Expr
 
-from forms.cell_data import CellData
+from forms.cell_data import CellData, frozen
 from forms.kinematics import deformation_gradient
 
 _LOWER = np.tril_indices(3)
@@ -42,21 +42,11 @@ class _PolarData(CellData):
     """R₀ (9), S₀ (6) and G (6) of each tetrahedron, in one DG0 coefficient of 21 components."""
 
     def __init__(self, u: fem.Function) -> None:
-        msh = u.function_space.mesh
-        super().__init__(fem.functionspace(msh, ("DG", 0, (21,))), name="polar")
-        points = self.function_space.element.interpolation_points
-        self._F = fem.Expression(deformation_gradient(u), points)
-        cells = msh.topology.index_map(msh.topology.dim)
-        self._cells = np.arange(cells.size_local + cells.num_ghosts, dtype=np.int32)
-        self.refresh()
+        super().__init__(deformation_gradient(u), (21,), "polar")
 
-    def refresh(self) -> None:
-        F = np.asarray(self._F.eval(self.function_space.mesh, self._cells), dtype=np.float64)
-        R, S, G = polar_factors(F.reshape(-1, 3, 3))
-        values = self.x.array.reshape(-1, 21)
-        values[:, :9] = R.reshape(-1, 9)
-        values[:, 9:15] = S[:, *_LOWER]
-        values[:, 15:] = G[:, *_LOWER]
+    def compute(self, values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        R, S, G = polar_factors(values)
+        return np.concatenate([R.reshape(-1, 9), S[:, *_LOWER], G[:, *_LOWER]], axis=1)
 
     def unpack(self) -> tuple[Expr, Expr, Expr]:
         """Return (R₀, S₀, G) as UFL matrices."""
@@ -141,3 +131,33 @@ def polar_rotation(u: fem.Function) -> Expr:
 def right_stretch(u: fem.Function) -> Expr:
     """Return S(F(u)) = sym(RᵀF), with exact first and second UFL derivatives, shape (d, d)."""
     return ufl.sym(polar_rotation(u).T * deformation_gradient(u))
+
+
+def linearised_stretch(u: fem.Function) -> Expr:
+    """Return S(F(u)) with its exact first UFL derivative and a second one of zero, shape (d, d).
+
+    With R, S frozen at the present F, A = RᵀF and [ω]ₓ = Rᵀ δR, (tr S I - S) ω = axial(A - Aᵀ),
+    it is sym(A - [ω]ₓ S), affine in F.
+    """
+    R, S = frozen(polar_rotation(u)), frozen(right_stretch(u))
+    A = R.T * deformation_gradient(u)
+    if len(u) == 2:
+        omega = (A[1, 0] - A[0, 1]) / ufl.tr(S)
+        turn = ufl.as_matrix([[0, -omega], [omega, 0]])
+    else:
+        a = ufl.as_vector([A[2, 1] - A[1, 2], A[0, 2] - A[2, 0], A[1, 0] - A[0, 1]])
+        turn = _cross(ufl.inv(ufl.tr(S) * ufl.Identity(3) - S) * a)
+    return ufl.sym(A - turn * S)
+
+
+def quaternion_rotation(q: Expr) -> Expr:
+    """Return the rotation in SO(d) of a quaternion, in 2D of a complex number, of any length.
+
+    Args:
+        q: Shape (4,), scalar part first, or (2,), real part first; not zero.
+    """
+    if len(q) == 2:
+        return ufl.as_matrix([[q[0], -q[1]], [q[1], q[0]]]) / ufl.sqrt(ufl.inner(q, q))
+    v = ufl.as_vector([q[1], q[2], q[3]])
+    turned = (q[0] ** 2 - ufl.inner(v, v)) * ufl.Identity(3) + 2 * q[0] * _cross(v)
+    return (turned + 2 * ufl.outer(v, v)) / ufl.inner(q, q)

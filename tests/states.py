@@ -8,7 +8,13 @@ from petsc4py import PETSc
 import numpy as np
 from dolfinx import fem, mesh
 
+from forms.discrete import MATERIALS as WITNESSED
 from solvers import MixedProblem
+
+# What breadth in three dimensions is for: the formulations and materials with a witness or a
+# kernel. All of them, in two dimensions, are the matter of test_formulations.
+FIRST_FORMULATIONS = ("symmetric", "seed", "displacement")
+FIRST_MATERIALS = tuple(WITNESSED)
 
 
 def small_mesh(d: int) -> mesh.Mesh:
@@ -47,8 +53,11 @@ def random_values(f: fem.Function, seed: int) -> np.ndarray:
 def random_directions(
     fields: tuple[fem.Function, ...], stress: float, seed: int = 0
 ) -> list[np.ndarray]:
-    """Changes of the fields with strains of some ten per cent and multipliers of `stress`."""
-    amplitudes = (0.06, 0.2, stress)
+    """Changes of the fields with strains of some ten per cent and multipliers of `stress`.
+
+    The fields are u, S or another strain, a multiplier, and a rotation, or the first few of them.
+    """
+    amplitudes = (0.06, 0.2, stress, 0.1)
     return [
         amplitude * random_values(f, seed + k)
         for k, (f, amplitude) in enumerate(zip(fields, amplitudes, strict=False))

@@ -18,8 +18,7 @@ from demos.compare import compare, missing, run, table
 from demos.compare_cases import BODIES, STATES, SYSTEMS, ufl_cases
 from demos.compare_equations import CONDENSED, items
 from demos.progress import Screen
-from forms import MATERIALS
-from forms.discrete import ERRATA, Corotational, SeedSystem, SymmetricSystem
+from forms.discrete import ERRATA, MATERIALS, Corotational, SeedSystem, SymmetricSystem
 
 COMM = MPI.COMM_WORLD
 SYSTEM = {"seed": SeedSystem, "symmetric": SymmetricSystem}

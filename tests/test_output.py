@@ -177,6 +177,11 @@ def test_materials_by_tag_are_those_of_their_cells(tmp_path):
     assert np.abs(stiff_tip - POINTS).max() > 0.05
     stretches = [abs(np.linalg.norm(x[6] - x[7]) - 1) for x in (one, stiff_tip)]
     assert stretches[1] < 0.1 * stretches[0]
+    # two strain energies in one body, that agree for small strains and not beyond
+    hencky = material.replace("stable-neo-hookean", "hencky")
+    smith = material.replace("stable-neo-hookean", "smith-neo-hookean")
+    whole, half = final(smith), final(smith + "tag = 4\n", hencky + "tag = 7\n")
+    assert 1e-6 < np.abs(half - whole).max() < 0.1 * np.abs(whole - POINTS).max()
 
 
 def test_run_writes_what_it_says(strip, tmp_path, capfd):

@@ -14,7 +14,7 @@ from demos import studies
 from demos.cli import main
 from demos.progress import Screen
 from demos.studies import Interrupted, Study, cost, newton, refinement, run, stiffness, timestep
-from forms import FORMULATIONS
+from tests.states import FIRST_FORMULATIONS
 
 COMM = MPI.COMM_WORLD
 
@@ -124,7 +124,7 @@ def test_cost_of_a_small_case(tmp_path):
 
 
 @pytest.mark.parametrize("motion", ["static", "dynamic"])
-@pytest.mark.parametrize("formulation", FORMULATIONS)
+@pytest.mark.parametrize("formulation", FIRST_FORMULATIONS)
 def test_orders_of_refinement_in_2d(formulation, motion):
     """u in L2: 2, in H1: 1; S and Λ: 1, over the finest three of four levels."""
     cases = [refinement.case(formulation, 2, motion, "condensed", n) for n in (4, 8, 16, 32)]

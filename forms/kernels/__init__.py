@@ -5,7 +5,8 @@ densities `forms.symmetric` and `forms.displacement`. Numba is imported when a k
 before.
 """
 
+from forms.kernels.cells import MATERIALS
 from forms.kernels.displacement import DisplacementKernel
 from forms.kernels.symmetric import SymmetricKernel
 
-__all__ = ["DisplacementKernel", "SymmetricKernel"]
+__all__ = ["MATERIALS", "DisplacementKernel", "SymmetricKernel"]

@@ -13,19 +13,20 @@ import numpy.typing as npt
 from dolfinx import fem
 from dolfinx.jit import mpi_jit_decorator
 
-from forms.materials import MATERIALS, Material
+from forms.materials import MATERIALS as ALL_MATERIALS
+from forms.materials import Material
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int32]
 MaterialLike = Material | tuple[str, npt.ArrayLike, npt.ArrayLike]
 
-# Numbers of the materials in compiled code.
 AS_RIGID_AS_POSSIBLE, COROTATIONAL, STABLE_NEO_HOOKEAN = 0.0, 1.0, 2.0
-_NUMBERS = {
+MATERIALS = {
     "as-rigid-as-possible": AS_RIGID_AS_POSSIBLE,
     "corotational": COROTATIONAL,
     "stable-neo-hookean": STABLE_NEO_HOOKEAN,
 }
+"""The materials that have kernels, by name, and their numbers in compiled code."""
 
 
 class Cells:
@@ -48,7 +49,7 @@ class Cells:
         Args:
             formulation: Which kernels.
             u: P1 displacement [m] on straight triangles or tetrahedra.
-            psi: A material of `forms.MATERIALS`, or the name of one (one for all cells) with μ and
+            psi: A material of `MATERIALS`, or the name of one (one for all cells) with μ and
                 λ [Pa], numbers or arrays of shape (owned cells,).
 
         Raises:
@@ -72,7 +73,7 @@ class Cells:
         cells = mesh.topology.index_map(mesh.topology.dim).size_local
         name, mu, lam = _named(psi)
         values = np.empty((cells, 3))
-        for column, (symbol, value) in enumerate((("", _NUMBERS[name]), ("mu", mu), ("lam", lam))):
+        for column, (symbol, value) in enumerate((("", MATERIALS[name]), ("mu", mu), ("lam", lam))):
             given = np.asarray(value, dtype=float)
             if given.shape not in ((), (cells,)):
                 raise ValueError(
@@ -129,12 +130,12 @@ class Cells:
 def _named(psi: MaterialLike) -> tuple[str, npt.ArrayLike, npt.ArrayLike]:
     if isinstance(psi, tuple):
         name, mu, lam = psi
-        if name in _NUMBERS:
+        if name in MATERIALS:
             return name, mu, lam
-    for name in _NUMBERS:
-        if type(psi) is MATERIALS[name]:
+    for name in MATERIALS:
+        if type(psi) is ALL_MATERIALS[name]:
             return name, psi.mu, psi.lam
-    raise ValueError(f"no compiled kernel for {psi!r}; there are {', '.join(_NUMBERS)}")
+    raise ValueError(f"no compiled kernel for {psi!r}; there are {', '.join(MATERIALS)}")
 
 
 def _load(name: str) -> Any:

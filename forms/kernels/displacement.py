@@ -20,8 +20,8 @@ class DisplacementKernel:
 
         Args:
             u: P1 displacement [m] on triangles or tetrahedra.
-            psi: A material of `forms.MATERIALS`, or the name of one with μ and λ [Pa], each a
-                number or an array of shape (owned cells,).
+            psi: A material of `forms.kernels.MATERIALS`, or the name of one with μ and λ [Pa],
+                each a number or an array of shape (owned cells,).
 
         Raises:
             ModuleNotFoundError: Numba is not installed.

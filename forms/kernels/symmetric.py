@@ -34,8 +34,8 @@ class SymmetricKernel:
             u: P1 displacement [m] on triangles or tetrahedra.
             S: Right stretch [-] in symmetric DG0.
             Y: Rotated first Piola-Kirchhoff stress [Pa] in symmetric DG0.
-            psi: A material of `forms.MATERIALS`, or the name of one with μ and λ [Pa], each a
-                number or an array of shape (owned cells,).
+            psi: A material of `forms.kernels.MATERIALS`, or the name of one with μ and λ [Pa],
+                each a number or an array of shape (owned cells,).
 
         Raises:
             ModuleNotFoundError: Numba is not installed.

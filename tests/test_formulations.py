@@ -1,0 +1,330 @@
+"""Every formulation with every material and every solver, in two dimensions; some in three.
+
+One problem a formulation, compiled once, holds all materials behind switches.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import pytest
+import ufl
+from dolfinx import fem
+from dolfinx.fem.petsc import assign
+
+from forms import (
+    FORMULATIONS,
+    MATERIALS,
+    BackwardEuler,
+    Hencky,
+    StableNeoHookean,
+    deformation_gradient,
+    quaternion_rotation,
+    refresh,
+    right_stretch,
+)
+from solvers import SOLVERS, ConvergenceError, MixedProblem
+from tests.states import (
+    dense,
+    field_vector,
+    random_directions,
+    random_values,
+    small_mesh,
+)
+from tests.taylor import check_taylor_orders, jacobian, residual
+
+COMM = MPI.COMM_WORLD
+E, NU, RHO, H = 10.0, 0.3, 2.0, 0.4
+INEXACT = [name for name, form in FORMULATIONS.items() if not form.exact]
+# The blocks in which a formulation forgets a derivative.
+FORGOTTEN = {"lagged-rotation": {("u", "u"), ("Y", "u")}, "gauss-newton": {("u", "u")}}
+# Compiling is what these tests take time for.
+QUICK = {"cffi_extra_compile_args": ["-O0"]}
+
+
+class Switch:
+    """Σₖ χₖ Ψₖ(S) over all materials, of which one χ is 1 and the others are 0."""
+
+    def __init__(self, msh):
+        self._chi = {name: fem.Constant(msh, 0.0) for name in MATERIALS}
+
+    def select(self, material):
+        for name, chi in self._chi.items():
+            chi.value = float(name == material)
+
+    def __call__(self, S):
+        return sum(chi * MATERIALS[name](E, NU)(S) for name, chi in self._chi.items())
+
+
+class Body:
+    """A clamped body at rest in some formulation, with all materials and solvers."""
+
+    def __init__(
+        self, formulation, d=2, psi=None, solvers=tuple(SOLVERS), g=-2.0, jit_options=QUICK
+    ):
+        self.form, self.mesh = FORMULATIONS[formulation], small_mesh(d)
+        self.psi = Switch(self.mesh) if psi is None else psi
+        self.fields = self.form.fields(self.mesh)
+        u = self.fields[0]
+        self.scheme = BackwardEuler(u, H, (0.0, g, 0.0)[:d])
+        energy = self.form.density(*self.fields, self.psi) * ufl.dx
+        energy += self.scheme.kinetic(RHO) * ufl.dx
+        self.energy = fem.form(energy, jit_options=jit_options)
+        V = u.function_space
+        self.clamped = fem.locate_dofs_geometrical(V, lambda X: X[0] < 0.2)
+        bc = fem.dirichletbc(np.zeros(d), self.clamped, V)
+        self.problems = {
+            solver: MixedProblem(
+                energy,
+                self.fields,
+                [bc],
+                solver=solver,
+                options={"snes_rtol": 1e-13},
+                jit_options=jit_options,
+            )
+            for solver in solvers
+        }
+        self.at_rest = [f.x.array.copy() for f in self.fields]
+
+    def start(self):
+        """Put the rest state into the fields."""
+        for f, values in zip(self.fields, self.at_rest, strict=True):
+            f.x.array[:] = values
+
+    def move(self):
+        """Move every field far from where it is."""
+        for f, change in zip(self.fields, random_directions(self.fields, stress=E), strict=True):
+            f.x.array[:] += 0.5 * change
+
+    def solve(self, solver="condensed"):
+        """Solve a step from rest."""
+        self.start()
+        return self.problems[solver].solve()
+
+    @cached_property
+    def _state(self):
+        expressions = (
+            self.form.stretch(*self.fields),
+            self.form.multiplier(*self.fields, self.psi),
+        )
+        points = np.full((1, 2), 1 / 3)
+        return [(e, fem.Expression(e, points, jit_options=QUICK)) for e in expressions]
+
+    def cellwise(self):
+        """S and Λ on the owned cells, in 2D."""
+        cells = np.arange(self.mesh.topology.index_map(2).size_local, dtype=np.int32)
+        refresh(expression for expression, _ in self._state)
+        return [compiled.eval(self.mesh, cells) for _, compiled in self._state]
+
+
+@pytest.fixture(scope="module")
+def bodies():
+    """A body for each formulation, made when first asked for."""
+
+    class Bodies(dict):
+        def __missing__(self, formulation):
+            self[formulation] = Body(formulation)
+            return self[formulation]
+
+    return Bodies()
+
+
+@pytest.fixture(scope="module")
+def solutions(bodies):
+    """Displacement, S and Λ of the displacement method, for each material."""
+    body, found = bodies["displacement"], {}
+    for material in MATERIALS:
+        body.psi.select(material)
+        body.solve("direct")
+        found[material] = body.fields[0].x.array.copy(), *body.cellwise()
+    return found
+
+
+def largest(values):
+    return COMM.allreduce(float(np.abs(values).max(initial=0.0)), op=MPI.MAX)
+
+
+@pytest.mark.parametrize("material", MATERIALS)
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+def test_taylor(bodies, formulation, material):
+    """Far from rest; where derivatives are forgotten, order one in the blocks that have them."""
+    body = bodies[formulation]
+    body.psi.select(material)
+    body.start()
+    body.move()
+    check_taylor_orders(body.problems["direct"], body.energy, E, FORGOTTEN.get(formulation, ()))
+
+
+@pytest.mark.parametrize("material", MATERIALS)
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+def test_every_solver_finds_the_positions_of_the_displacement_method(
+    bodies, solutions, formulation, material
+):
+    """To 1e-9, with the stretch and the stress that belong to them."""
+    body, (u, *state) = bodies[formulation], solutions[material]
+    assert largest(u) > 0.25  # half of a cell's size
+    body.psi.select(material)
+    for solver in SOLVERS:
+        result = body.solve(solver)
+        assert largest(body.fields[0].x.array - u) < 1e-9
+        if body.form.exact:
+            assert result.iterations <= 6
+        for mine, other in zip(body.cellwise(), state, strict=True):
+            assert largest(mine - other) < 1e-9 * E
+
+
+@pytest.mark.parametrize("formulation", ["rotation-field", "gauss-newton", "log-strain"])
+def test_in_three_dimensions(formulation):
+    """Taylor orders and the positions of `symmetric`, where the code is not that of 2D."""
+    psi = StableNeoHookean(E, NU)
+    body = Body(formulation, 3, psi, solvers=("condensed",))
+    body.solve()
+    u = body.fields[0].x.array.copy()
+    assert largest(u) > 0.25
+    body.move()
+    check_taylor_orders(body.problems["condensed"], body.energy, E, FORGOTTEN.get(formulation, ()))
+    reference = Body("symmetric", 3, psi, solvers=("condensed",), jit_options=None)
+    reference.solve()
+    assert largest(reference.fields[0].x.array - u) < 1e-9
+
+
+# The rate of Newton's method where derivatives are forgotten
+
+
+@pytest.mark.parametrize("formulation", INEXACT)
+def test_linear_rate(formulation):
+    """The residual falls by the spectral radius of 1 - J̃⁻¹ J, J̃ the matrix with, J without lags.
+
+    J, the derivative of the refreshed residual, is found by finite differences. The rate goes to
+    zero with the load, as the stress does that multiplies what is forgotten.
+    """
+    rates = []
+    for g in (-8.0, -2.0):
+        body = Body(formulation, 2, StableNeoHookean(E, NU), solvers=("direct",), g=g)
+        r = np.array(body.solve("direct").residuals)
+        assert len(r) > 9
+        rates.append(r[-1] / r[-2])
+        assert rates[-1] == pytest.approx(contraction(body), rel=0.1)
+    assert 0.1 < rates[0] < 0.9
+    assert 2.5 < rates[0] / rates[1] < 6.0
+
+
+def contraction(body):
+    """Spectral radius of the iteration on the unknowns that are not clamped."""
+    problem = body.problems["direct"]
+    approximate = dense(jacobian(problem))
+    n = len(approximate)
+    state = field_vector(problem, [f.x.array for f in problem.fields])
+    x, exact = state.duplicate(), np.empty((n, n))
+    first, last = x.getOwnershipRange()
+    for j in range(n):
+        columns = []
+        for step in (1e-5, -1e-5):
+            state.copy(x)
+            if first <= j < last:
+                x.setValue(j, step, addv=PETSc.InsertMode.ADD)
+            x.assemble()
+            put(problem, x)
+            columns.append(np.concatenate(COMM.allgather(residual(problem).array_r)))
+        exact[:, j] = (columns[0] - columns[1]) / 2e-5
+    put(problem, state)
+    marks = [np.zeros_like(f.x.array) for f in problem.fields]
+    marks[0].reshape(-1, 2)[body.clamped] = 1.0
+    clamped = np.concatenate(COMM.allgather(field_vector(problem, marks).array_r)) > 0.5
+    free = np.ix_(~clamped, ~clamped)
+    lost = np.eye(n)[free] - np.linalg.solve(approximate[free], exact[free])
+    return np.abs(np.linalg.eigvals(lost)).max()
+
+
+def put(problem, x):
+    x.ghostUpdate(PETSc.InsertMode.INSERT, PETSc.ScatterMode.FORWARD)
+    assign(x, problem.fields)
+
+
+# What single formulations promise
+
+
+def test_the_iteration_of_gauss_newton_is_definite_under_any_stress(bodies):
+    """Under large pressure the exact condensed matrix is indefinite, Gauss-Newton's is not."""
+    lowest = {}
+    for formulation in ("symmetric", "gauss-newton"):
+        body = bodies[formulation]
+        body.psi.select("corotational")
+        body.start()
+        Y = body.fields[2]
+        Y.x.array[:] = np.tile([-4.0 * E, 0.0, -4.0 * E], len(Y.x.array) // 3)
+        problem = body.problems["condensed"]
+        problem.problem.solver.setTolerances(max_it=1)
+        problem.problem.solver.setForceIteration(True)
+        with pytest.raises(ConvergenceError):
+            problem.solve()
+        problem.problem.solver.setTolerances(max_it=50)
+        problem.problem.solver.setForceIteration(False)
+        lowest[formulation] = np.linalg.eigvalsh(dense(problem.condensed.K)).min()
+    assert lowest["symmetric"] < 0.0 < lowest["gauss-newton"]
+
+
+def test_log_strain_stays_in_the_domain():
+    """Under a load at which full steps of `symmetric` leave the domain of log S."""
+    results = {
+        formulation: Body(formulation, 2, Hencky(E, NU), solvers=("condensed",), g=-14.0).solve()
+        for formulation in ("symmetric", "log-strain")
+    }
+    assert results["symmetric"].notes  # a line search had to come to the rescue
+    assert not results["log-strain"].notes
+    assert results["log-strain"].iterations <= 10
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_quaternions_give_rotations(d):
+    """R(q) is orthogonal for q of any length, and turns about the axis of q by twice its angle."""
+    msh = small_mesh(d)
+    q = fem.Function(fem.functionspace(msh, ("DG", 0, (2 * d - 2,))))
+    q.x.array[:] = 1.5 * random_values(q, 5)
+    points = np.full((1, d), 1 / (d + 1))
+    cells = np.arange(msh.topology.index_map(d).size_local, dtype=np.int32)
+    R = fem.Expression(quaternion_rotation(q), points).eval(msh, cells)[:, 0]
+    identity = np.broadcast_to(np.eye(d), R.shape)
+    np.testing.assert_allclose(R @ R.transpose(0, 2, 1), identity, atol=1e-14)
+    np.testing.assert_allclose(np.linalg.det(R), 1.0, rtol=1e-14)
+    values = q.x.array.reshape(-1, 2 * d - 2)[q.function_space.dofmap.list[cells, 0]]
+    if d == 3:
+        axis = values[:, 1:]
+        np.testing.assert_allclose(np.einsum("nij,nj->ni", R, axis), axis, atol=1e-13)
+        angle = 2 * np.arctan2(np.linalg.norm(axis, axis=1), values[:, 0])
+        np.testing.assert_allclose(np.trace(R, axis1=1, axis2=2), 1 + 2 * np.cos(angle))
+    else:
+        angle = np.arctan2(values[:, 1], values[:, 0])
+        np.testing.assert_allclose(R[:, 1, 0], np.sin(angle), atol=1e-14)
+
+
+# One of a user's own
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_a_formulation_written_here(solver):
+    """The volume ratio as a field of its own, beside the stretch; unknown to the packages."""
+    psi = StableNeoHookean(E, NU)
+    reference = Body("displacement", 2, psi, solvers=("direct",))
+    reference.solve("direct")
+    msh = reference.mesh
+    u, S, Y = FORMULATIONS["symmetric"].fields(msh)
+    dg0 = fem.functionspace(msh, ("DG", 0))
+    theta, p = fem.Function(dg0, name="theta"), fem.Function(dg0, name="p")
+    theta.x.array[:] = 1.0
+    stretched = psi.mu / 2 * (ufl.inner(S, S) - 2 + 2 * (1 - theta))
+    volumetric = psi.lam / 2 * (theta - 1) ** 2
+    constraints = ufl.inner(Y, S - right_stretch(u)) + p * (
+        theta - ufl.det(deformation_gradient(u))
+    )
+    scheme = BackwardEuler(u, H, (0.0, -2.0))
+    energy = (stretched + volumetric - constraints + scheme.kinetic(RHO)) * ufl.dx
+    bc = fem.dirichletbc(np.zeros(2), reference.clamped, u.function_space)
+    options = {"snes_rtol": 1e-13}
+    result = MixedProblem(energy, (u, S, Y, theta, p), [bc], solver=solver, options=options).solve()
+    assert result.iterations <= 6
+    assert largest(u.x.array - reference.fields[0].x.array) < 1e-9
