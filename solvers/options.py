@@ -71,8 +71,6 @@ CONDENSED_CG: Options = {
     "mg_levels_ksp_type": "chebyshev",
     "mg_levels_pc_type": "jacobi",
     "mg_levels_ksp_max_it": 2,
-    # The estimate of the largest eigenvalue by CG, safe for a symmetric matrix.
-    "mg_levels_esteig_ksp_type": "cg",
     "mg_coarse_sub_pc_type": "lu",
 }
 """Conjugate gradients with algebraic multigrid on a displacement-sized matrix."""
