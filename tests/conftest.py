@@ -24,6 +24,10 @@ from mpi4py import MPI
 import hypothesis
 import numpy as np
 import pytest
+from dolfinx.jit import DOLFINX_DEFAULT_JIT_OPTIONS
+
+# Compiling is what the tests take time for, and not what they are about: a third of it this way.
+DOLFINX_DEFAULT_JIT_OPTIONS["cffi_extra_compile_args"] = (["-O0", "-g0"], "compiler arguments")
 
 WAIT = 300.0  # [s] for the others to end a phase that this rank has passed
 WAIT_AFTER_FAILURE = 30.0  # [s] for the others to end a phase that this rank has failed

@@ -42,8 +42,6 @@ E, NU, RHO, H = 10.0, 0.3, 2.0, 0.4
 INEXACT = [name for name, form in FORMULATIONS.items() if not form.exact]
 # The blocks in which a formulation forgets a derivative.
 FORGOTTEN = {"lagged-rotation": {("u", "u"), ("Y", "u")}, "gauss-newton": {("u", "u")}}
-# Compiling is what these tests take time for.
-QUICK = {"cffi_extra_compile_args": ["-O0"]}
 
 
 class Switch:
@@ -63,9 +61,7 @@ class Switch:
 class Body:
     """A clamped body at rest in some formulation, with all materials and solvers."""
 
-    def __init__(
-        self, formulation, d=2, psi=None, solvers=tuple(SOLVERS), g=-2.0, jit_options=QUICK
-    ):
+    def __init__(self, formulation, d=2, psi=None, solvers=tuple(SOLVERS), g=-2.0):
         self.form, self.mesh = FORMULATIONS[formulation], small_mesh(d)
         self.psi = Switch(self.mesh) if psi is None else psi
         self.fields = self.form.fields(self.mesh)
@@ -73,7 +69,7 @@ class Body:
         self.scheme = BackwardEuler(u, H, (0.0, g, 0.0)[:d])
         energy = self.form.density(*self.fields, self.psi) * ufl.dx
         energy += self.scheme.kinetic(RHO) * ufl.dx
-        self.energy = fem.form(energy, jit_options=jit_options)
+        self.energy = fem.form(energy)
         V = u.function_space
         self.clamped = fem.locate_dofs_geometrical(V, lambda X: X[0] < 0.2)
         bc = fem.dirichletbc(np.zeros(d), self.clamped, V)
@@ -84,7 +80,6 @@ class Body:
                 [bc],
                 solver=solver,
                 options={"snes_rtol": 1e-13},
-                jit_options=jit_options,
             )
             for solver in solvers
         }
@@ -112,7 +107,7 @@ class Body:
             self.form.multiplier(*self.fields, self.psi),
         )
         points = np.full((1, 2), 1 / 3)
-        return [(e, fem.Expression(e, points, jit_options=QUICK)) for e in expressions]
+        return [(e, fem.Expression(e, points)) for e in expressions]
 
     def cellwise(self):
         """S and Λ on the owned cells, in 2D."""
@@ -187,7 +182,7 @@ def test_in_three_dimensions(formulation):
     assert largest(u) > 0.25
     body.move()
     check_taylor_orders(body.problems["condensed"], body.energy, E, FORGOTTEN.get(formulation, ()))
-    reference = Body("symmetric", 3, psi, solvers=("condensed",), jit_options=None)
+    reference = Body("symmetric", 3, psi, solvers=("condensed",))
     reference.solve()
     assert largest(reference.fields[0].x.array - u) < 1e-9
 

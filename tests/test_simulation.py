@@ -137,6 +137,6 @@ def test_stress_with_kernels_is_that_of_the_present_rotation(tmp_path):
 def test_field_splits_are_a_switch(tmp_path):
     """`solver = "fieldsplit"` in a scene: the same motion, by UFL, as field splits need blocks."""
     _, condensed = simulate(tmp_path, "symmetric", "ufl")
-    kernels, split = simulate(tmp_path, "symmetric", 'auto"\nsolver = "fieldsplit')
+    kernels, split = simulate(tmp_path, "symmetric", "auto", solver="fieldsplit")
     assert kernels == "ufl"
     np.testing.assert_allclose(split, condensed, rtol=0, atol=1e-9 * np.abs(condensed).max())
