@@ -87,6 +87,9 @@ KEEP_WHILE = 1.5
 DIVERGING = 100.0
 """Growth of the residual past that of the first iteration that tells full steps diverge."""
 
+NEAR_ROUND_OFF = 100.0
+"""A residual that stagnates below this multiple of the estimated rounding error has converged."""
+
 ENERGY_RESOLVED = 1e-9
 """Relative change of the energy below which a line search on it sees rounding error."""
 

@@ -167,6 +167,7 @@ class MixedProblem:
         self._may_search = len(self.fields) > 1 and search == "basic"
         self._watch = False
         self._split = False
+        self._floor = 0.0
         self._growth_limit = snes.getDivergenceTolerance()
         # PETSc must not keep this object alive, which keeps PETSc's objects alive.
         _, (assemble, _args, kwargs) = snes.getFunction()
@@ -215,7 +216,8 @@ class MixedProblem:
             self.fieldsplit.start()
         snes, x = self.problem.solver, self.problem.x
         self._from_fields(x)
-        snes.setTolerances(atol=self._round_off())
+        self._floor = self._round_off()
+        snes.setTolerances(atol=self._floor)
         iterations, notes = self._newton(x)
         x.pointwiseMult(x, self._D)
         self._to_fields(x)
@@ -378,6 +380,10 @@ class MixedProblem:
         if iteration == 1 and self._watch:
             growth = max(1.0, norm / self._residuals[0])
             snes.setDivergenceTolerance(min(self._growth_limit, defaults.DIVERGING * growth))
+        near = norm <= defaults.NEAR_ROUND_OFF * self._floor
+        if near and iteration > 1 and norm > self._residuals[-1] / 2:
+            # Rounding error, as it no longer falls; the next iteration will be the last.
+            snes.setTolerances(atol=defaults.NEAR_ROUND_OFF * self._floor)
         self._norms.append(norms)
         self._residuals.append(float(norm))
         logger.debug("Newton %d: %s", iteration, norms)
@@ -434,8 +440,9 @@ class MixedProblem:
         column_field = self._layout.fields_of(columns)
         row_field = np.repeat(np.arange(n), np.diff(self._layout.offsets))
         in_row = np.diff(indptr)
-        # The identity rows of Dirichlet conditions carry no unit.
-        weight = np.repeat(np.add.reduceat(values != 0, indptr[:-1]) > 1, in_row) & (values != 0)
+        # The identity rows of Dirichlet conditions, which are on the displacement, carry no unit.
+        carries = (row_field > 0) | (np.add.reduceat(values != 0, indptr[:-1]) > 1)
+        weight = np.repeat(carries, in_row) & (values != 0)
         pair = np.repeat(row_field, in_row) * n + column_field
         sums = np.array(
             [np.bincount(pair, w, n * n) for w in (weight * values**2, weight.astype(float))]

@@ -172,6 +172,17 @@ def test_every_solver_finds_the_positions_of_the_displacement_method(
             assert largest(mine - other) < 1e-9 * E
 
 
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+def test_newton_stops_at_round_off(formulation):
+    """However small a tolerance, and whatever rounding errors a formulation makes."""
+    body = Body(formulation, 2, StableNeoHookean(E, NU), solvers=("direct",))
+    snes = body.problems["direct"].problem.solver
+    snes.setTolerances(rtol=1e-30)
+    residuals = body.solve("direct").residuals
+    assert min(residuals) < 1e-13 * max(residuals)
+    assert residuals[-1] < 10 * min(residuals)
+
+
 @pytest.mark.parametrize("formulation", ["rotation-field", "gauss-newton", "log-strain"])
 def test_in_three_dimensions(formulation):
     """Taylor orders and the positions of `symmetric`, where the code is not that of 2D."""
