@@ -16,6 +16,7 @@ from forms.formulations import (
     hu_washizu,
     lagged_rotation,
     log_strain,
+    mean_dilatation,
     rotation_field,
     seed,
     seed_singular,
@@ -40,6 +41,7 @@ from forms.materials import (
     cell_values,
     lame_parameters,
 )
+from forms.points import measure
 from forms.rotation import (
     linearised_stretch,
     polar_rotation,
@@ -87,6 +89,8 @@ __all__ = [
     "lame_parameters",
     "linearised_stretch",
     "log_strain",
+    "mean_dilatation",
+    "measure",
     "mixed_fields",
     "polar_rotation",
     "quaternion_rotation",

@@ -12,9 +12,14 @@ from dolfinx import fem, mesh
 from ufl.algorithms import extract_coefficients, strip_variables
 from ufl.core.expr import Expr
 
+from forms.points import common_degree, local_space
+
 
 class CellData(fem.Function):
-    """A DG0 coefficient computed cell by cell from an expression that is constant on each cell.
+    """A coefficient computed point by point from an expression.
+
+    The points are one a cell where the expression is constant on each cell, else the quadrature
+    points of `forms.points`.
 
     UFL treats it as a constant, so an expression that uses it must carry its derivative in another
     way (see `forms.rotation`), or do without (see `frozen`). A solver finds every `CellData` among
@@ -42,7 +47,7 @@ class CellData(fem.Function):
         coefficients = extract_coefficients(expression)
         if msh is None:
             msh = coefficients[0].function_space.mesh
-        super().__init__(fem.functionspace(msh, ("DG", 0, shape)), name=name)
+        super().__init__(local_space(msh, common_degree(coefficients), shape), name=name)
         self._inner = [c for c in coefficients if isinstance(c, CellData)]
         points = self.function_space.element.interpolation_points
         self._expression = fem.Expression(expression, points)
@@ -54,20 +59,20 @@ class CellData(fem.Function):
         """Recompute the values on all owned and ghost cells of this rank. Not collective."""
         for data in self._inner:
             data.refresh()
-        at_points = self._expression.eval(self.function_space.mesh, self._cells)
-        per_cell = self.compute(np.asarray(at_points[:, 0], dtype=np.float64))
-        dofs, size = self.function_space.dofmap.list[:, 0], self.function_space.dofmap.bs
-        self.x.array.reshape(-1, size)[dofs] = per_cell.reshape(-1, size)
+        values = self._expression.eval(self.function_space.mesh, self._cells)
+        computed = self.compute(values.reshape(-1, *values.shape[2:]))
+        dofs, size = self.function_space.dofmap.list, self.function_space.dofmap.bs
+        self.x.array.reshape(-1, size)[dofs] = computed.reshape(*dofs.shape, size)
 
     @abstractmethod
     def compute(self, values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Return the data of each cell, given the expression's values.
+        """Return the data of each point, given the expression's values.
 
         Args:
-            values: Shape (cells, *shape of the expression).
+            values: Shape (points, *shape of the expression).
 
         Returns:
-            Shape (cells, ...) with as many components as the data have.
+            Shape (points, ...) with as many components as the data have.
         """
 
 
@@ -83,7 +88,7 @@ def frozen(expression: Expr, msh: mesh.Mesh | None = None) -> CellData:
     value, but the Newton matrix does not know that it changes.
 
     Args:
-        expression: Constant on each cell, of any shape.
+        expression: Of any shape.
         msh: The mesh, needed if no finite element function is in the expression.
     """
     return _Frozen(expression, expression.ufl_shape, "frozen", msh)

@@ -1,9 +1,9 @@
 """Mixed Lagrangians: short functions from fields to an energy density [J/m³] (seed, eq. 1).
 
 Each leaves out the kinetic term, which a time scheme adds (`forms.time`). Λ is the first
-Piola-Kirchhoff stress at a stationary point: ∂L/∂S = 0 reads ∂Ψ/∂S = sym(RᵀΛ). With P1
-displacements and fields that are constant on each cell, all of them have the positions of
-`displacement`; what differs is the way of Newton's method there, and what an iteration costs.
+Piola-Kirchhoff stress at a stationary point: ∂L/∂S = 0 reads ∂Ψ/∂S = sym(RᵀΛ). With the same rule
+of integration (`forms.points`) all but `mean_dilatation` have the positions of `displacement`; what
+differs is the way of Newton's method there, and what an iteration costs.
 """
 
 from __future__ import annotations
@@ -18,10 +18,11 @@ from ufl.core.expr import Expr
 
 from forms import spectral
 from forms.cell_data import frozen
-from forms.fields import displacement_field, mixed_fields
+from forms.fields import displacement_field, mixed_fields, set_everywhere
 from forms.kernels import DisplacementKernel, SymmetricKernel
 from forms.kinematics import deformation_gradient
 from forms.materials import StrainEnergy
+from forms.points import CELLS, local_space, quadrature_degree
 from forms.rotation import (
     linearised_stretch,
     polar_rotation,
@@ -174,6 +175,40 @@ def log_strain(u: fem.Function, H: fem.Function, T: fem.Function, psi: StrainEne
     return psi(spectral.exp(H)) - ufl.inner(T, H - _hencky_strain(deformation_gradient(u)))
 
 
+def mean_dilatation(
+    u: fem.Function,
+    S: fem.Function,
+    Y: fem.Function,
+    theta: fem.Function,
+    p: fem.Function,
+    psi: StrainEnergy,
+) -> Expr:
+    """Ψ((θ/det S)^(1/d) S) - Y : (S - S(F)) + p (det F - θ): `symmetric` without locking.
+
+    As ν goes to 1/2 the volume of each quadrature point is held, more constraints than a mesh has
+    displacements, and it stiffens: it locks. Here the change of volume is a field θ of few values a
+    cell, the only one that Ψ sees, with a pressure p. θ and p are constant on Q1 and P2 cells and
+    linear on Q2 and P3 cells; on each of these it cures. On P1 simplices θ is det F, and it is
+    `symmetric` to the last digit, locking included. θ and p are local to cells: static condensation
+    takes them along.
+
+    J. C. Simo, R. L. Taylor, K. S. Pister, Variational and projection methods for the volume
+    constraint in finite deformation elasto-plasticity, CMAME 51 (1985).
+
+    Args:
+        u: Displacement [m], shape (d,).
+        S: Right stretch [-], symmetric, shape (d, d); its determinant does not enter Ψ.
+        Y: Rotated stress [Pa], symmetric, shape (d, d), without the part of p.
+        theta: Change of volume θ [-].
+        p: Pressure [Pa], positive in tension.
+        psi: Strain energy density of S.
+    """
+    d = len(u)
+    scaled = (theta / ufl.det(S)) ** (1 / d) * S
+    volume = p * (ufl.det(deformation_gradient(u)) - theta)
+    return psi(scaled) - ufl.inner(Y, S - right_stretch(u)) + volume
+
+
 def _hencky_strain(F: Expr) -> Expr:
     return spectral.log(F.T * F) / 2
 
@@ -184,25 +219,61 @@ def _stress_of_log_strain(u: fem.Function, T: fem.Function) -> Expr:
     return ufl.diff(ufl.inner(T, _hencky_strain(F)), F)
 
 
-def _rotation_fields(msh: mesh.Mesh) -> Fields:
-    u, S, Lam = mixed_fields(msh, multiplier="full")
+def _stress_of_mean_dilatation(
+    u: fem.Function,
+    S: fem.Function,
+    Y: fem.Function,
+    theta: fem.Function,
+    p: fem.Function,
+    psi: StrainEnergy,
+) -> Expr:
+    """P = R Y + p J F⁻ᵀ."""
+    F = deformation_gradient(u)
+    return polar_rotation(u) * Y + p * ufl.det(F) * ufl.inv(F).T
+
+
+def _displacement_fields(msh: mesh.Mesh, degree: int = 1) -> Fields:
+    return (displacement_field(msh, degree),)
+
+
+def _symmetric_fields(msh: mesh.Mesh, degree: int = 1) -> Fields:
+    return mixed_fields(msh, degree=degree)
+
+
+def _seed_fields(msh: mesh.Mesh, degree: int = 1) -> Fields:
+    return mixed_fields(msh, multiplier="full", degree=degree)
+
+
+def _rotation_fields(msh: mesh.Mesh, degree: int = 1) -> Fields:
+    u, S, Lam = mixed_fields(msh, multiplier="full", degree=degree)
     size = {2: 2, 3: 4}[len(u)]
-    q = fem.Function(fem.functionspace(msh, ("DG", 0, (size,))), name="q")
-    q.x.array[::size] = 1.0
+    q = fem.Function(local_space(msh, quadrature_degree(u.function_space), (size,)), name="q")
+    set_everywhere(q, np.eye(size)[0])
     return u, S, Lam, q
 
 
-def _log_strain_fields(msh: mesh.Mesh) -> Fields:
-    u, H, T = mixed_fields(msh)
+def _log_strain_fields(msh: mesh.Mesh, degree: int = 1) -> Fields:
+    u, H, T = mixed_fields(msh, degree=degree)
     H.name, T.name = "H", "T"
     H.x.array[:] = 0.0
     return u, H, T
 
 
-def _hu_washizu_fields(msh: mesh.Mesh) -> Fields:
-    u, S, Sigma = mixed_fields(msh)
+def _hu_washizu_fields(msh: mesh.Mesh, degree: int = 1) -> Fields:
+    u, S, Sigma = mixed_fields(msh, degree=degree)
     Sigma.name = "Sigma"
     return u, S, Sigma
+
+
+def _mean_dilatation_fields(msh: mesh.Mesh, degree: int = 1) -> Fields:
+    u, S, Y = mixed_fields(msh, degree=degree)
+    if msh.topology.cell_type in (cells[0] for cells in CELLS.values()):
+        V = fem.functionspace(msh, ("DG", max(degree - 2, 0)))
+    else:
+        V = fem.functionspace(msh, ("DPC", degree - 1))
+    theta, p = fem.Function(V, name="theta"), fem.Function(V, name="p")
+    theta.interpolate(lambda X: np.ones(X.shape[1]))
+    return u, S, Y, theta, p
 
 
 def displacement(u: fem.Function, psi: StrainEnergy) -> Expr:
@@ -212,12 +283,11 @@ def displacement(u: fem.Function, psi: StrainEnergy) -> Expr:
 
 def _rest_shear_modulus(psi: StrainEnergy, S: fem.Function) -> Expr:
     """¼ ∂²Ψ[D, D] [Pa] at S = I on each cell, D the shear D₀₁ = D₁₀ = 1."""
-    d = S.ufl_shape[0]
     rest, shear = fem.Function(S.function_space), fem.Function(S.function_space)
-    rest.interpolate(lambda X: np.tile(np.eye(d).reshape(-1, 1), X.shape[1]))
-    D = np.zeros((d, d))
+    D = np.zeros(S.ufl_shape)
     D[0, 1] = D[1, 0] = 1.0
-    shear.interpolate(lambda X: np.tile(D.reshape(-1, 1), X.shape[1]))
+    set_everywhere(rest, np.eye(len(D)))
+    set_everywhere(shear, D)
     twice = ufl.derivative(ufl.derivative(psi(rest), rest, shear), rest, shear)
     return frozen(twice / 4, S.function_space.mesh)
 
@@ -229,7 +299,8 @@ class Formulation:
     Attributes:
         name: The name that a scene file uses.
         description: One line.
-        fields: Function from a mesh to the unknowns at rest, the displacement first.
+        fields: Function from a mesh and the degree of the displacement, 1 by default, to the
+            unknowns at rest, the displacement first.
         density: Function from (*fields, psi) to the energy density [J/m³] without inertia.
         stretch: Function from the fields to the right stretch S, shape (d, d).
         multiplier: Function from (*fields, psi) to the first Piola-Kirchhoff stress Λ [Pa],
@@ -242,7 +313,7 @@ class Formulation:
 
     name: str
     description: str
-    fields: Callable[[mesh.Mesh], Fields]
+    fields: Callable[..., Fields]
     density: Callable[..., Expr]
     stretch: Callable[..., Expr]
     multiplier: Callable[..., Expr]
@@ -256,7 +327,7 @@ FORMULATIONS: dict[str, Formulation] = {
         Formulation(
             "symmetric",
             "eq. (1) with Λ = R Y, Y symmetric: six multipliers, all independent (default)",
-            fields=mixed_fields,
+            fields=_symmetric_fields,
             density=symmetric,
             stretch=lambda u, S, Y: S,
             multiplier=lambda u, S, Y, psi: polar_rotation(u) * Y,
@@ -265,7 +336,7 @@ FORMULATIONS: dict[str, Formulation] = {
         Formulation(
             "seed",
             "eq. (1) as printed, full Λ, with its null space skew(RᵀΛ) held at zero",
-            fields=lambda msh: mixed_fields(msh, multiplier="full"),
+            fields=_seed_fields,
             density=seed,
             stretch=lambda u, S, Lam: S,
             multiplier=lambda u, S, Lam, psi: Lam,
@@ -281,7 +352,7 @@ FORMULATIONS: dict[str, Formulation] = {
         Formulation(
             "lagged-rotation",
             "symmetric with R frozen over a Newton iteration; Newton is linear",
-            fields=mixed_fields,
+            fields=_symmetric_fields,
             density=lagged_rotation,
             stretch=lambda u, S, Y: S,
             multiplier=lambda u, S, Y, psi: polar_rotation(u) * Y,
@@ -290,7 +361,7 @@ FORMULATIONS: dict[str, Formulation] = {
         Formulation(
             "gauss-newton",
             "symmetric with ∂²S(F) dropped, as published: definite matrices; Newton is linear",
-            fields=mixed_fields,
+            fields=_symmetric_fields,
             density=gauss_newton,
             stretch=lambda u, S, Y: S,
             multiplier=lambda u, S, Y, psi: polar_rotation(u) * Y,
@@ -313,9 +384,17 @@ FORMULATIONS: dict[str, Formulation] = {
             multiplier=lambda u, H, T, psi: _stress_of_log_strain(u, T),
         ),
         Formulation(
+            "mean-dilatation",
+            "symmetric with the change of volume θ and a pressure p as fields: no locking",
+            fields=_mean_dilatation_fields,
+            density=mean_dilatation,
+            stretch=lambda u, S, Y, theta, p: S,
+            multiplier=_stress_of_mean_dilatation,
+        ),
+        Formulation(
             "displacement",
             "Ψ(S(F)) in the displacement alone: the classical Newton method, the baseline",
-            fields=lambda msh: (displacement_field(msh),),
+            fields=_displacement_fields,
             density=displacement,
             stretch=right_stretch,
             multiplier=first_piola_kirchhoff_stress,

@@ -39,7 +39,7 @@ _LOWER = np.tril_indices(3)
 
 
 class _PolarData(CellData):
-    """R₀ (9), S₀ (6) and G (6) of each tetrahedron, in one DG0 coefficient of 21 components."""
+    """R₀ (9), S₀ (6) and G (6) of each point, in one coefficient of 21 components."""
 
     def __init__(self, u: fem.Function) -> None:
         super().__init__(deformation_gradient(u), (21,), "polar")
@@ -111,7 +111,7 @@ def polar_rotation(u: fem.Function) -> Expr:
     closed form R = (F + cof F) / |F + cof F| √2, exact to every order.
 
     Args:
-        u: P1 displacement [m] on triangles or tetrahedra.
+        u: Displacement [m].
     """
     F = deformation_gradient(u)
     if len(u) == 2:

@@ -87,7 +87,9 @@ def require_local(fields: Sequence[fem.Function]) -> None:
         ValueError: One is not.
     """
     for f in fields[1:]:
-        if not f.function_space.element.basix_element.discontinuous:
+        dofmap = f.function_space.dofmap
+        dofs = dofmap.index_map.size_local + dofmap.index_map.num_ghosts
+        if dofmap.list.size > dofs:  # cells share some
             raise ValueError(
                 f"the field {f.name} is not local to cells; condensation needs every field but "
                 'the first to be discontinuous, or choose solver="direct"'

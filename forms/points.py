@@ -1,0 +1,78 @@
+"""Where cell-local quantities live: on the cell for P1 simplices, else at quadrature points.
+
+On triangles and tetrahedra with P1 displacements F is constant on each cell, and so are S, Λ and R.
+With any other element F varies, and they live at the points of the quadrature rule that integrates
+the strain energy: a point is to a rule what a cell is to P1. The constraint S = S(F) then holds at
+each point, and a mixed formulation has the positions of the displacement method with that rule.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import basix.ufl
+import ufl
+from dolfinx import fem, mesh
+
+CELLS = {
+    2: (mesh.CellType.triangle, mesh.CellType.quadrilateral),
+    3: (mesh.CellType.tetrahedron, mesh.CellType.hexahedron),
+}
+"""Supported cells by dimension, simplices first."""
+
+
+def quadrature_degree(V: fem.FunctionSpace) -> int:
+    """Degree of the rule for the strain energy of a displacement in V; 0 where F is constant.
+
+    On simplices Pk has 2 (k - 1), which integrates a quadratic energy exactly; quadrilaterals and
+    hexahedra with Qk have k + 1 Gauss points in each direction.
+
+    Args:
+        V: A Lagrange space, or one of quadrature points, which has their degree.
+    """
+    element = V.ufl_element()
+    if element.has_custom_quadrature:
+        return int(element.embedded_superdegree)
+    if V.element.basix_element.discontinuous:
+        return 0
+    k, msh = int(V.element.basix_element.degree), V.mesh
+    if msh.topology.cell_type == CELLS[msh.topology.dim][0]:
+        return 2 * (k - 1)
+    return 2 * k
+
+
+def measure(u: fem.Function) -> ufl.Measure:
+    """Return the measure dx for an energy density without inertia.
+
+    Its rule is that of the points at which the cell-local fields live. Inertia is integrated with
+    plain `ufl.dx`; with P1 displacements on simplices that is this measure, too.
+
+    Args:
+        u: Displacement.
+    """
+    degree = quadrature_degree(u.function_space)
+    return ufl.dx(metadata={"quadrature_degree": degree}) if degree else ufl.dx
+
+
+def local_space(
+    msh: mesh.Mesh, degree: int, shape: tuple[int, ...] = (), *, symmetric: bool = False
+) -> fem.FunctionSpace:
+    """Return the space of cell-local fields, with one value a cell or one a quadrature point.
+
+    Args:
+        msh: The mesh.
+        degree: From `quadrature_degree`.
+        shape: Of a value.
+        symmetric: Whether it is a symmetric tensor, of which the lower triangle is kept.
+    """
+    if degree == 0:
+        return fem.functionspace(msh, ("DG", 0, shape, True) if symmetric else ("DG", 0, shape))
+    element = basix.ufl.quadrature_element(
+        msh.basix_cell(), value_shape=shape, degree=degree, symmetry=symmetric or None
+    )
+    return fem.functionspace(msh, element)
+
+
+def common_degree(coefficients: Iterable[fem.Function]) -> int:
+    """Degree of the rule at whose points an expression of the coefficients is to be known."""
+    return max((quadrature_degree(c.function_space) for c in coefficients), default=0)
