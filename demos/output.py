@@ -15,7 +15,7 @@ from mpi4py import MPI
 import meshio
 import numpy as np
 import numpy.typing as npt
-from dolfinx import fem
+from dolfinx import fem, mesh
 from dolfinx.io import VTKFile
 
 from demos.simulation import Energies, Simulation
@@ -68,7 +68,7 @@ class Output:
         self._newton = _Csv(
             self._comm, folder / "newton.csv", ["step", "iteration", "residual", *residuals, "note"]
         )
-        self._u = simulation.fields[0]
+        self._at_vertices = _AtVertices(simulation.fields[0])
         on_cells = fem.functionspace(simulation.body.mesh, ("DG", 0))
         self._strain = fem.Function(on_cells, name="|S - I|")
         self._von_mises = fem.Function(on_cells, name="von Mises stress")
@@ -129,7 +129,8 @@ class Output:
         self._von_mises.x.array[cells] = self.simulation.von_mises()
         for f in (self._strain, self._von_mises):
             f.x.scatter_forward()
-        self._vtk.write_function([self._u, self._strain, self._von_mises], self.simulation.scheme.t)
+        u = self._at_vertices.values()
+        self._vtk.write_function([u, self._strain, self._von_mises], self.simulation.scheme.t)
 
 
 def final_state(simulation: Simulation) -> dict[str, Array] | None:
@@ -139,7 +140,8 @@ def final_state(simulation: Simulation) -> dict[str, Array] | None:
         On rank 0 ``X`` and ``x``, rest and present positions [m], and ``v``, velocity [m/s], of
         shape (vertices, d); ``S``, right stretch, and ``Lam``, first Piola-Kirchhoff stress [Pa],
         of shape (cells, d, d); ``von_mises``, that stress [Pa], of shape (cells,); ``cells``,
-        vertex numbers of shape (cells, d + 1), each row in ascending order; ``t``, the time [s].
+        vertex numbers, of simplices of shape (cells, d + 1) with each row in ascending order, else
+        in the order of VTK; ``t``, the time [s]. S and both stresses are means over the cell.
         None on other ranks.
     """
     body, scheme = simulation.body, simulation.scheme
@@ -156,7 +158,7 @@ def final_state(simulation: Simulation) -> dict[str, Array] | None:
             ("S", simulation.stretch()),
             ("Lam", simulation.stress()),
             ("von_mises", simulation.von_mises()),
-            ("cells", np.sort(body.file_connectivity())),
+            ("cells", _vtk_cells(body)),
         )
     }
     if X is None or u is None or v is None:
@@ -165,7 +167,33 @@ def final_state(simulation: Simulation) -> dict[str, Array] | None:
     return {"X": X, "x": X + u, "v": v, **cells, "t": np.array(scheme.t)}
 
 
+class _AtVertices:
+    """A continuous function interpolated by a piecewise (multi)linear one."""
+
+    def __init__(self, function: fem.Function[Any]) -> None:
+        self._function = self._linear = function
+        if function.function_space.element.basix_element.degree > 1:
+            shape = function.ufl_shape
+            space = fem.functionspace(function.function_space.mesh, ("P", 1, shape))
+            self._linear = fem.Function(space, name=function.name)
+
+    def values(self) -> fem.Function[Any]:
+        if self._linear is not self._function:
+            self._linear.interpolate(self._function)
+        return self._linear
+
+
+def _vtk_cells(body: Body) -> Array:
+    """Vertices of the owned cells in the order of VTK, or sorted where any order will do."""
+    cells, kind = body.file_connectivity(), body.mesh.topology.cell_type
+    if kind in (mesh.CellType.triangle, mesh.CellType.tetrahedron):
+        return np.sort(cells)
+    order = [0, 1, 3, 2, 4, 5, 7, 6]  # DOLFINx goes through a grid, VTK around a face
+    return cells[:, order[: cells.shape[1]]]
+
+
 def _gather_vertices(body: Body, function: fem.Function[Any]) -> Array | None:
+    function = _AtVertices(function).values()
     V = function.function_space
     owned = V.dofmap.index_map.size_local
     values = function.x.array.reshape(-1, V.dofmap.index_map_bs)[:owned]
@@ -229,7 +257,9 @@ def write_surface(path: Path, state: Mapping[str, Array]) -> None:
     points = np.zeros((len(state["x"]), 3))
     points[:, :d] = state["x"]
     strain = np.linalg.norm(state["S"] - np.eye(d), axis=(1, 2))
-    kind = "triangle" if d == 2 else "tetra"
+    kind = {(2, 3): "triangle", (2, 4): "quad", (3, 4): "tetra", (3, 8): "hexahedron"}[
+        d, state["cells"].shape[1]
+    ]
     meshio.Mesh(points, [(kind, state["cells"])], cell_data={"|S - I|": [strain]}).write(path)
 
 

@@ -153,27 +153,32 @@ def _ticks(largest: float) -> tuple[float, int]:
     return step, max(int(np.ceil(largest / step)), 1)
 
 
+# Faces of a tetrahedron and of VTK's hexahedron, each seen from outside if the edges from the first
+# vertex to those of _EDGES have a positive determinant.
+_FACES = {
+    4: [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]],
+    8: [[0, 3, 2, 1], [4, 5, 6, 7], [0, 1, 5, 4], [1, 2, 6, 5], [2, 3, 7, 6], [3, 0, 4, 7]],
+}
+_EDGES = {4: [1, 2, 3], 8: [1, 3, 4]}
+
+
 def _surface(pv: Any, points: Array, cells: npt.NDArray[np.int64]) -> Any:
-    """The triangles that one sees, all wound the same way, each with the number of its cell."""
+    """The faces that one sees, all wound the same way, each with the number of its cell."""
     padded = np.zeros((len(points), 3))
     padded[:, : points.shape[1]] = points
     number = np.arange(len(cells))
-    if cells.shape[1] == 4:
-        # The faces of a tetrahedron, each seen from outside if its volume is positive.
-        faces = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
-        edges = padded[cells[:, 1:]] - padded[cells[:, :1]]
-        triangles = cells[:, faces]
+    faces = cells
+    if points.shape[1] == 3:
+        of_cell = np.array(_FACES[cells.shape[1]])
+        edges = padded[cells[:, _EDGES[cells.shape[1]]]] - padded[cells[:, :1]]
+        faces = cells[:, of_cell]
         inverted = np.linalg.det(edges) < 0
-        triangles[inverted] = triangles[inverted][..., ::-1]
-        triangles, number = triangles.reshape(-1, 3), np.repeat(number, 4)
-        _, first, count = np.unique(
-            np.sort(triangles), axis=0, return_index=True, return_counts=True
-        )
+        faces[inverted] = faces[inverted][..., ::-1]
+        faces, number = faces.reshape(-1, of_cell.shape[1]), np.repeat(number, len(of_cell))
+        _, first, count = np.unique(np.sort(faces), axis=0, return_index=True, return_counts=True)
         outer = first[count == 1]
-        triangles, number = triangles[outer], number[outer]
-    else:
-        triangles = cells
-    surface = pv.PolyData.from_regular_faces(padded, triangles)
+        faces, number = faces[outer], number[outer]
+    surface = pv.PolyData.from_regular_faces(padded, faces)
     surface.cell_data["cell"] = number
     return surface
 

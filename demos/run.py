@@ -12,6 +12,7 @@ from mpi4py import MPI
 
 import numpy as np
 import numpy.typing as npt
+from dolfinx import mesh
 
 from demos import picture
 from demos.output import Output, make_folder, write_surface
@@ -158,6 +159,13 @@ def _parameters(scene: Scene) -> str:
     return f"{first.name}, E = {first.E:g} Pa, nu = {first.nu:g}{more}"
 
 
+_CELLS = {
+    mesh.CellType.triangle: "triangles",
+    mesh.CellType.quadrilateral: "quadrilaterals",
+    mesh.CellType.tetrahedron: "tetrahedra",
+    mesh.CellType.hexahedron: "hexahedra",
+}
+
+
 def _size(body: Body) -> str:
-    kind = {2: "triangles", 3: "tetrahedra"}[body.mesh.geometry.dim]
-    return f"{body.num_cells} {kind}"
+    return f"{body.num_cells} {_CELLS[body.mesh.topology.cell_type]}"

@@ -13,7 +13,7 @@ from mpi4py import MPI
 
 from demos.tables import SceneError, Table, suggestion
 from forms import FORMULATIONS, MATERIALS, BackwardEuler
-from meshes import Where
+from meshes import CELLS, Where
 from solvers import SOLVERS
 
 BUILT_IN = Path(__file__).parent / "scenes"
@@ -37,6 +37,7 @@ class MeshSource:
     file: Path | None = None
     size: tuple[float, ...] = ()
     cells: tuple[int, ...] = ()
+    cell: str | None = None
 
 
 @dataclass(frozen=True)
@@ -77,6 +78,7 @@ class Scene:
         steps: Number of steps.
         scheme: Time stepping scheme.
         formulation: Which Lagrangian.
+        degree: Of the displacement.
         solver: Which solver of the Newton system.
         kernels: What evaluates the Newton system, a name in `KERNELS`.
         baseline: A formulation to run after, for comparison.
@@ -93,6 +95,7 @@ class Scene:
     steps: int
     scheme: str
     formulation: str
+    degree: int
     solver: str
     kernels: str
     baseline: str | None
@@ -183,6 +186,7 @@ def parse(
     solve.override("formulation", overrides.formulation, "--formulation")
     solve.override("solver", overrides.solver, "--solver")
     formulation = solve.choice("formulation", FORMULATIONS, "symmetric")
+    degree = solve.count("degree", 1)
     solver = solve.choice("solver", SOLVERS, "condensed")
     kernels = solve.choice("kernels", KERNELS, "auto")
     baseline = solve.choice("baseline", FORMULATIONS, "") or None
@@ -200,6 +204,7 @@ def parse(
         steps=steps,
         scheme=scheme,
         formulation=formulation,
+        degree=degree,
         solver=solver,
         kernels=kernels,
         baseline=baseline,
@@ -219,12 +224,13 @@ def _mesh(table: Table, folder: Path) -> MeshSource:
     table.close()
     size = box.numbers("size")
     cells = box.numbers("cells")
+    cell = box.choice("cell", CELLS.get(len(size), ()), "") or None
     box.close()
     if len(size) not in (2, 3) or min(size) <= 0:
         box.fail("size", "must be 2 or 3 positive lengths in metres")
     if len(cells) != len(size) or any(n < 1 or n != int(n) for n in cells):
         box.fail("cells", f"must be {len(size)} whole numbers of 1 or more, one for each length")
-    return MeshSource(size=size, cells=tuple(int(n) for n in cells))
+    return MeshSource(size=size, cells=tuple(int(n) for n in cells), cell=cell)
 
 
 def _materials(tables: list[Table], overrides: Overrides) -> tuple[Material, ...]:

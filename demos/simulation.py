@@ -9,6 +9,7 @@ from typing import Any
 
 from mpi4py import MPI
 
+import basix
 import numpy as np
 import numpy.typing as npt
 import ufl
@@ -24,6 +25,8 @@ from forms import (
     by_tag,
     cell_values,
     lame_parameters,
+    measure,
+    quadrature_degree,
     refresh,
     von_mises_stress,
 )
@@ -53,7 +56,7 @@ def build_body(scene: Scene, comm: MPI.Comm) -> Body:
         if scene.mesh.file is not None:
             body = read(comm, scene.mesh.file)
         else:
-            body = box(comm, scene.mesh.size, scene.mesh.cells)
+            body = box(comm, scene.mesh.size, scene.mesh.cells, scene.mesh.cell)
     except MeshError as e:
         raise SceneError(f"{scene.source}: [mesh]: {e}") from e
     d = body.mesh.geometry.dim
@@ -98,31 +101,29 @@ class Simulation:
         """
         form = FORMULATIONS[formulation]
         self.body = body
-        self.fields = form.fields(body.mesh)
+        self.fields = form.fields(body.mesh, scene.degree)
         u = self.fields[0]
+        dx = measure(u)
         self.scheme = SCHEMES[scene.scheme](u, scene.h, scene.gravity)
         psi, rho = _material(scene, body)
         energy = self.scheme.kinetic(rho) * ufl.dx
         kernel = None if scene.kernels == "ufl" else _kernel(form, self.fields, scene, body)
         if kernel is None:
-            energy = form.density(*self.fields, psi) * ufl.dx + energy
+            energy = form.density(*self.fields, psi) * dx + energy
         self.kernels = "ufl" if kernel is None else "compiled"
         self.problem = MixedProblem(
             energy, self.fields, _bcs(scene, body, u), solver=scene.solver, kernel=kernel
         )
         stretch = form.stretch(*self.fields)
         self._energies = [
-            density * ufl.dx
-            for density in (
-                self.scheme.kinetic_energy(rho),
-                psi(stretch),
-                self.scheme.potential_energy(rho),
-            )
+            self.scheme.kinetic_energy(rho) * ufl.dx,
+            psi(stretch) * dx,
+            self.scheme.potential_energy(rho) * ufl.dx,
         ]
         self._compiled_energies = [fem.form(energy) for energy in self._energies]
-        self._stretch = _OnCells(stretch, body)
-        self._stress = _OnCells(form.multiplier(*self.fields, psi), body)
-        self._von_mises = _OnCells(von_mises_stress(stretch, psi), body)
+        self._stretch = CellMeans(stretch, u)
+        self._stress = CellMeans(form.multiplier(*self.fields, psi), u)
+        self._von_mises = CellMeans(von_mises_stress(stretch, psi), u)
 
     def march(self, steps: int) -> Iterator[SolveResult]:
         """Yield the result of each step.
@@ -152,19 +153,33 @@ class Simulation:
         return self._von_mises.values()
 
 
-class _OnCells:
-    """An expression in the middle of each owned cell."""
+class CellMeans:
+    """Means of an expression over the points of each owned cell at which cell-local fields live."""
 
-    def __init__(self, expression: Expr, body: Body) -> None:
-        d = body.mesh.geometry.dim
-        self._expression, self._mesh = expression, body.mesh
-        self._compiled = fem.Expression(expression, np.full((1, d), 1 / (d + 1)))
-        self._cells = np.arange(len(body.file_cells), dtype=np.int32)
+    def __init__(self, expression: Expr, u: fem.Function[Any]) -> None:
+        """Compile the expression.
+
+        Args:
+            expression: Of the fields of a formulation.
+            u: The displacement among them.
+        """
+        self._mesh, self._expression = u.function_space.mesh, expression
+        points, weights = (
+            np.array(a, dtype=np.float64)
+            for a in basix.make_quadrature(
+                self._mesh.basix_cell(), quadrature_degree(u.function_space)
+            )
+        )
+        self._weights = weights / weights.sum()
+        self._compiled = fem.Expression(expression, points)
+        cells = self._mesh.topology.index_map(self._mesh.topology.dim).size_local
+        self._cells = np.arange(cells, dtype=np.int32)
 
     def values(self) -> npt.NDArray[np.float64]:
-        """Present values, shape (owned cells, *shape of the expression)."""
+        """Present means, shape (owned cells, *shape of the expression)."""
         refresh([self._expression])
-        return np.asarray(self._compiled.eval(self._mesh, self._cells)[:, 0], dtype=np.float64)
+        values = self._compiled.eval(self._mesh, self._cells)
+        return np.asarray(np.einsum("q,kq...->k...", self._weights, values), dtype=np.float64)
 
 
 def _material(scene: Scene, body: Body) -> tuple[Callable[[Expr], Expr], float | Expr]:
@@ -191,6 +206,8 @@ def _kernel(
     names = {m.name for m in scene.materials}
     if scene.solver != "condensed":
         reason = f'none go with the solver "{scene.solver}"; take "condensed"'
+    elif quadrature_degree(fields[0].function_space) > 0:
+        reason = "there are none but for displacements of degree 1 on triangles or tetrahedra"
     elif form.kernel is None:
         known = ", ".join(name for name, f in FORMULATIONS.items() if f.kernel is not None)
         reason = f'there are none for the formulation "{form.name}"; there are for {known}'

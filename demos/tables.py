@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import json
 import math
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
 from typing import Any, NoReturn
 
@@ -106,9 +106,9 @@ class Table:
             self.fail(key, f"must be {what}, above 0")
         return float(value)
 
-    def count(self, key: str) -> int:
+    def count(self, key: str, default: Any = _REQUIRED) -> int:
         """A whole number of 1 or more."""
-        value = self.value(key)
+        value = self.value(key, default)
         if not isinstance(value, int) or isinstance(value, bool) or value < 1:
             self.fail(key, "must be a whole number of 1 or more")
         return int(value)
@@ -134,7 +134,7 @@ class Table:
     def choice(
         self,
         key: str,
-        available: Mapping[str, object],
+        available: Collection[str],
         default: Any = _REQUIRED,
         later: Collection[str] = (),
     ) -> str:

@@ -41,7 +41,7 @@ from forms.materials import (
     cell_values,
     lame_parameters,
 )
-from forms.points import measure
+from forms.points import measure, quadrature_degree
 from forms.rotation import (
     linearised_stretch,
     polar_rotation,
@@ -93,6 +93,7 @@ __all__ = [
     "measure",
     "mixed_fields",
     "polar_rotation",
+    "quadrature_degree",
     "quaternion_rotation",
     "refresh",
     "right_stretch",

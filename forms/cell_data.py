@@ -60,7 +60,8 @@ class CellData(fem.Function):
         for data in self._inner:
             data.refresh()
         values = self._expression.eval(self.function_space.mesh, self._cells)
-        computed = self.compute(values.reshape(-1, *values.shape[2:]))
+        flat = np.asarray(values, dtype=np.float64).reshape(-1, *values.shape[2:])
+        computed = self.compute(flat)
         dofs, size = self.function_space.dofmap.list, self.function_space.dofmap.bs
         self.x.array.reshape(-1, size)[dofs] = computed.reshape(*dofs.shape, size)
 

@@ -1,4 +1,4 @@
-"""Bodies: simplex meshes with tags, and the way back to the order of their files.
+"""Bodies: meshes with tags, and the way back to the order of their files.
 
 `box` generates, `read` reads; both give a `Body`. Which vertices are meant by a clause such
 as ``{ x = "max" }`` is the business of `Where`.
@@ -9,8 +9,8 @@ from __future__ import annotations
 from mpi4py import MPI  # noqa: F401  (must precede every other MPI import)
 
 from meshes.body import Body, MeshError
-from meshes.generators import box
+from meshes.generators import CELLS, box
 from meshes.readers import read
 from meshes.where import Where
 
-__all__ = ["Body", "MeshError", "Where", "box", "read"]
+__all__ = ["CELLS", "Body", "MeshError", "Where", "box", "read"]

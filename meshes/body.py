@@ -1,4 +1,4 @@
-"""A body: a mesh of simplices, its tags, and the order of the file it came from."""
+"""A body: a mesh, its tags, and the order of the file it came from."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
-from dolfinx.fem import FunctionSpace
-from dolfinx.mesh import Mesh, MeshTags
+from dolfinx.fem import FunctionSpace, locate_dofs_topological
+from dolfinx.mesh import Mesh, MeshTags, entities_to_geometry
 
 from meshes.where import AXES, Where
 
@@ -23,7 +23,7 @@ class MeshError(ValueError):
 
 @dataclass(frozen=True)
 class Body:
-    """A mesh of triangles (d = 2) or tetrahedra (d = 3), distributed with one ghost layer.
+    """A mesh in d = 2 or 3 dimensions, distributed with one ghost layer.
 
     "File order" is the order of vertices and cells in the mesh file, or for a generated body
     the order documented by its generator; both count from 0.
@@ -55,7 +55,7 @@ class Body:
         return np.asarray(self.mesh.topology.original_cell_index[:owned])
 
     def file_connectivity(self) -> npt.NDArray[np.int64]:
-        """File vertex numbers of the cells this rank owns, shape (owned cells, d + 1)."""
+        """File vertex numbers of the cells this rank owns, shape (owned cells, vertices a cell)."""
         owned = len(self.file_cells)
         geometry = self.mesh.geometry
         return np.asarray(geometry.input_global_indices[geometry.dofmaps[0][:owned]])
@@ -77,10 +77,12 @@ class Body:
     def dofs(self, V: FunctionSpace[np.float64], where: Where) -> npt.NDArray[np.int32]:
         """Degrees of freedom at the vertices of a set, for `dolfinx.fem.dirichletbc`.
 
+        Those inside an edge, face or cell count if all its vertices are in the set.
+
         Collective. Ghosts are included and agree with their owners.
 
         Args:
-            V: A continuous piecewise linear space on this mesh, of any value shape.
+            V: A Lagrange space on this mesh, of any degree and value shape.
             where: The set.
 
         Returns:
@@ -91,7 +93,18 @@ class Body:
                 that this body does not have.
         """
         chosen = self._select(where)
-        return np.flatnonzero(chosen[self._nodes(V)]).astype(np.int32)
+        if V.element.basix_element.degree == 1:
+            return np.flatnonzero(chosen[self._nodes(V)]).astype(np.int32)
+        found = []
+        for dim in range(self.mesh.topology.dim + 1):
+            self.mesh.topology.create_entities(dim)
+            self.mesh.topology.create_connectivity(dim, self.mesh.topology.dim)
+            entities = self.mesh.topology.index_map(dim)
+            every = np.arange(entities.size_local + entities.num_ghosts, dtype=np.int32)
+            nodes = entities_to_geometry(self.mesh, dim, every)
+            inside = every[chosen[nodes].all(axis=1)]
+            found.append(locate_dofs_topological(V, dim, inside))
+        return np.unique(np.concatenate(found)).astype(np.int32)
 
     def _nodes(self, V: FunctionSpace[np.float64]) -> npt.NDArray[np.int32]:
         # Both layouts list the vertices of a cell in the same order, so cells pair them.
