@@ -188,9 +188,9 @@ def mean_dilatation(
     As ν goes to 1/2 the volume of each quadrature point is held, more constraints than a mesh has
     displacements, and it stiffens: it locks. Here the change of volume is a field θ of few values a
     cell, the only one that Ψ sees, with a pressure p. θ and p are constant on Q1 and P2 cells and
-    linear on Q2 and P3 cells; on each of these it cures. On P1 simplices θ is det F, and it is
-    `symmetric` to the last digit, locking included. θ and p are local to cells: static condensation
-    takes them along.
+    linear on Q2 and P3 cells. With Q1, Q2 and P3 that cures; P2 becomes as much too soft as it was
+    too stiff. On P1 simplices θ is det F, and it is `symmetric`, locking included. θ and p are
+    local to cells: static condensation takes them along.
 
     J. C. Simo, R. L. Taylor, K. S. Pister, Variational and projection methods for the volume
     constraint in finite deformation elasto-plasticity, CMAME 51 (1985).

@@ -17,34 +17,42 @@ FIRST_FORMULATIONS = ("symmetric", "seed", "displacement")
 FIRST_MATERIALS = tuple(WITNESSED)
 
 
-def small_mesh(d: int) -> mesh.Mesh:
-    """A few unstructured-looking cells: 8 triangles or 12 tetrahedra with moved vertices."""
+def small_mesh(d: int, *, simplices: bool = True) -> mesh.Mesh:
+    """A few unstructured-looking cells with moved vertices.
+
+    8 triangles or 12 tetrahedra; or 4 quadrilaterals or 2 hexahedra.
+    """
     comm = MPI.COMM_WORLD
     if d == 2:
-        msh = mesh.create_rectangle(comm, [(0.0, 0.0), (1.0, 1.0)], (2, 2))
+        cell = mesh.CellType.triangle if simplices else mesh.CellType.quadrilateral
+        msh = mesh.create_rectangle(comm, [(0.0, 0.0), (1.0, 1.0)], (2, 2), cell)
     else:
-        msh = mesh.create_box(comm, [(0.0, 0.0, 0.0), (2.0, 1.0, 1.0)], (2, 1, 1))
+        cell = mesh.CellType.tetrahedron if simplices else mesh.CellType.hexahedron
+        msh = mesh.create_box(comm, [(0.0, 0.0, 0.0), (2.0, 1.0, 1.0)], (2, 1, 1), cell)
     X = msh.geometry.x
     X[:, :d] += 0.08 * np.sin(5.0 * X[:, :d] + 3.0 * np.roll(X[:, :d], 1, axis=1))
     return msh
 
 
 def random_values(f: fem.Function, seed: int) -> np.ndarray:
-    """Values in [-1, 1] for every local dof of a P1 or DG0 function, by vertex or cell number."""
+    """Values in [-1, 1] for every local dof of a Lagrange or cell-local function."""
     V, rng = f.function_space, np.random.default_rng(seed)
-    msh = V.mesh
-    bs = V.dofmap.bs
-    if V.element.basix_element.degree == 0:
-        index_map, numbers = (
-            msh.topology.index_map(msh.topology.dim),
-            msh.topology.original_cell_index,
-        )
-        dofs = V.dofmap.list[:, 0]
-    else:
-        index_map, numbers = msh.geometry.index_map(), msh.geometry.input_global_indices
-        dofs = np.empty(len(numbers), dtype=np.int32)
-        dofs[msh.geometry.dofmaps[0].ravel()] = V.dofmap.list.ravel()
-    table = rng.uniform(-1.0, 1.0, (index_map.size_global, bs))
+    msh, bs = V.mesh, V.dofmap.bs
+    size = V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts
+    if V.dofmap.list.size == size:
+        index_map = msh.topology.index_map(msh.topology.dim)
+        on_cell = V.dofmap.list.shape[1]
+        table = rng.uniform(-1.0, 1.0, (index_map.size_global, on_cell, bs))
+        values = np.empty((size, bs))
+        values[V.dofmap.list] = table[msh.topology.original_cell_index]
+        return values.ravel()
+    if V.element.basix_element.degree > 1:
+        phases = rng.uniform(10.0, 40.0, (bs, 3)) @ V.tabulate_dof_coordinates().T
+        return np.sin(phases.T + rng.uniform(0.0, 6.0, bs)).ravel()
+    numbers = msh.geometry.input_global_indices
+    dofs = np.empty(len(numbers), dtype=np.int32)
+    dofs[msh.geometry.dofmaps[0].ravel()] = V.dofmap.list.ravel()
+    table = rng.uniform(-1.0, 1.0, (msh.geometry.index_map().size_global, bs))
     values = np.empty((len(dofs), bs))
     values[dofs] = table[numbers]
     return values.ravel()
@@ -55,12 +63,11 @@ def random_directions(
 ) -> list[np.ndarray]:
     """Changes of the fields with strains of some ten per cent and multipliers of `stress`.
 
-    The fields are u, S or another strain, a multiplier, and a rotation, or the first few of them.
+    Strains are called S or H, rotations q, changes of volume theta.
     """
-    amplitudes = (0.06, 0.2, stress, 0.1)
+    amplitudes = {"u": 0.06, "S": 0.2, "H": 0.2, "q": 0.1, "theta": 0.1}
     return [
-        amplitude * random_values(f, seed + k)
-        for k, (f, amplitude) in enumerate(zip(fields, amplitudes, strict=False))
+        amplitudes.get(f.name, stress) * random_values(f, seed + k) for k, f in enumerate(fields)
     ]
 
 
