@@ -1,4 +1,4 @@
-"""What a solve does that cannot be done: it raises with the reason, and the next one may succeed."""
+"""What a solve does that cannot be done: it raises, and the next one may succeed."""
 
 from __future__ import annotations
 
