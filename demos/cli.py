@@ -95,6 +95,8 @@ def _study(given: argparse.Namespace) -> int:
     study = studies.STUDIES.get(given.study)
     if study is None:
         raise UsageError(f"study {given.study}: unknown; available: {', '.join(studies.STUDIES)}")
+    if study.starts_ranks and COMM.size > 1:
+        raise UsageError(f"study {study.name} starts ranks by itself; run it without mpiexec")
     ranks = f"-{COMM.size}-ranks" if COMM.size > 1 else ""
     out = given.out if given.out is not None else Path("results") / f"{study.name}{ranks}"
     screen = Screen(COMM, sys.stderr if given.json else sys.stdout)

@@ -325,8 +325,9 @@ class KernelBlocks:
             np.zeros_like(f.x.array) for f in (*problem.fields, *problem.fields[1:])
         )
 
-    def update(self, A: PETSc.Mat) -> None:
+    def update(self, A: PETSc.Mat) -> Sequence[int]:
         """Nothing: the condensed matrix is assembled with the Jacobian."""
+        return ()
 
     def project(self) -> bool:
         """Make the cells' parts of K positive semi-definite. Collective."""

@@ -43,8 +43,13 @@ class CondensedBlocks(Protocol):
 
     K: PETSc.Mat
 
-    def update(self, A: PETSc.Mat) -> None:
-        """Condense the current Jacobian into K."""
+    def update(self, A: PETSc.Mat) -> Sequence[int]:
+        """Condense the current Jacobian into K. Collective.
+
+        Returns:
+            Where there is no condensed system, the numbers of the fields whose local block is
+            singular, the same on all ranks.
+        """
 
     def project(self) -> bool:
         """Put a positive semi-definite stand-in into K, if there is one. Collective."""
@@ -76,6 +81,9 @@ class CellBlocks:
         self._l_rows: Ints = np.hstack(
             [dofs + layout.offsets[f] for f, dofs in zip(local_fields, l_dofs, strict=True)]
         )
+        self._comm = layout.comm
+        # The field of each local unknown of a cell.
+        self._l_fields: Ints = np.repeat(local_fields, [dofs.shape[1] for dofs in l_dofs])
         first, _ = A.getOwnershipRange()
         nu, nl = self._u_dofs.shape[1], self._l_rows.shape[1]
         self._shape_B, self._shape_D = (self._cells, nl, nu), (self._cells, nl, nl)
@@ -123,16 +131,22 @@ class CellBlocks:
         width = of_cell.shape[1]
         return (cell * self._l_rows.shape[1] + local_row) * width + found % width
 
-    def update(self, A: PETSc.Mat) -> None:
+    def update(self, A: PETSc.Mat) -> Sequence[int]:
         """Eliminate the local unknowns from the assembled Jacobian A, into K."""
         values = A.getValuesCSR()[2]
-        self._B, self._D = np.zeros(self._shape_B), np.zeros(self._shape_D)
+        self._B, D = np.zeros(self._shape_B), np.zeros(self._shape_D)
         self._B.ravel()[self._to_B] = values[self._from_B]
-        self._D.ravel()[self._to_D] = values[self._from_D]
-        condensed = -np.einsum("kij,kil->kjl", self._B, np.linalg.solve(self._D, self._B))
+        D.ravel()[self._to_D] = values[self._from_D]
+        self._inverse, null = _inverse(D)
+        here = self._l_fields[np.flatnonzero(null)]
+        if singular := set().union(*self._comm.allgather(set(here.tolist()))):
+            return sorted(singular)
+        # Not einsum, which does not call BLAS for a product in each cell.
+        condensed = -(self._B.transpose(0, 2, 1) @ (self._inverse @ self._B))
         self.K.setValuesCOO(
             np.concatenate([values[self._from_uu], condensed.ravel()]), PETSc.InsertMode.INSERT
         )
+        return ()
 
     def project(self) -> bool:
         """The parts of J_uu are summed already, so that no cell's can be projected."""
@@ -140,14 +154,14 @@ class CellBlocks:
 
     def eliminate(self, b: Floats, g: Floats) -> None:
         """Add -Bᵀ D⁻¹ b_l to g on local displacement dofs, for this rank's unknowns b."""
-        D_b = np.linalg.solve(self._D, b[self._l_rows][:, :, None])[:, :, 0]
-        parts = np.einsum("kij,ki->kj", self._B, D_b)
+        D_b = self._inverse @ b[self._l_rows][:, :, None]
+        parts = self._B.transpose(0, 2, 1) @ D_b
         g -= np.bincount(self._u_dofs.ravel(), parts.ravel(), self._local_u_dofs)
 
     def recover(self, b: Floats, u: Floats, x: Floats) -> None:
         """Put δl = D⁻¹ (b_l - B δu) into this rank's unknowns x; u on local dofs."""
         right = b[self._l_rows][:, :, None] - self._B @ u[self._u_dofs][:, :, None]
-        x[self._l_rows] = np.linalg.solve(self._D, right)[:, :, 0]
+        x[self._l_rows] = (self._inverse @ right)[:, :, 0]
 
 
 class NothingToEliminate:
@@ -158,8 +172,9 @@ class NothingToEliminate:
         self.K = A
         self._project = project
 
-    def update(self, A: PETSc.Mat) -> None:
+    def update(self, A: PETSc.Mat) -> Sequence[int]:
         """Nothing."""
+        return ()
 
     def project(self) -> bool:
         """Put a positive semi-definite stand-in into K, if there is one. Collective."""
@@ -187,6 +202,7 @@ class CondensedSolver:
         target: The residual norm at which the Newton iteration ends.
         notes: What was done since then about a K that conjugate gradients did not solve with, by
             the number of the Newton iteration.
+        failure: Why the last system could not be solved, as far as that is known.
     """
 
     def __init__(
@@ -207,6 +223,7 @@ class CondensedSolver:
         """
         require_local(fields)
         self._V = fields[0].function_space
+        self._names = [f.name for f in fields]
         self._make_blocks = make_blocks
         self._blocks: CondensedBlocks | None = None
         self._g, self._z = create_vector(self._V), create_vector(self._V)
@@ -235,6 +252,7 @@ class CondensedSolver:
         self.seconds = {"condensation": 0.0, "setup": 0.0, "solve": 0.0}
         self.notes: dict[int, str] = {}
         self.target = 0.0
+        self.failure = ""
         self._newton_iteration = 0
         self._last_norm = 0.0
 
@@ -246,6 +264,7 @@ class CondensedSolver:
     def setUp(self, pc: PETSc.PC) -> None:
         """Condense the current Jacobian. Called by PETSc."""
         A, _ = pc.getOperators()
+        pc.setFailedReason(PETSc.PC.FailedReason.NOERROR)  # PETSc keeps that of the last time
         with self._timed("condensation"):
             if self._blocks is None:
                 self._blocks = self._make_blocks(A)
@@ -253,15 +272,16 @@ class CondensedSolver:
                 self.K.setNearNullSpace(rigid_body_modes(self._V))
                 self.ksp.setOperators(self.K)
                 self.ksp.setFromOptions()
-            try:
-                self._blocks.update(A)
-            except np.linalg.LinAlgError:
-                # A singular local block: no condensed system, so no step.
-                pc.setFailedReason(PETSc.PC.FailedReason.FACTOR_NUMERIC_ZEROPIVOT)
+            singular = ", ".join(self._names[f] for f in self._blocks.update(A))
+            self.failure = f"the local block of {singular} is singular" if singular else ""
 
     def apply(self, pc: PETSc.PC, b: PETSc.Vec, x: PETSc.Vec) -> None:
         """Solve with the block system. Called by PETSc."""
         assert self._blocks is not None
+        if self.failure:
+            # Not in setUp, after which PETSc would apply this all the same.
+            pc.setFailedReason(PETSc.PC.FailedReason.FACTOR_NUMERIC_ZEROPIVOT)
+            return
         self._newton_iteration += 1
         owned = self._g.getLocalSize()
         right = b.array_r
@@ -275,6 +295,7 @@ class CondensedSolver:
         self._set_tolerance(b.norm())
         if not self._solve():
             pc.setFailedReason(PETSc.PC.FailedReason.SUBPC_ERROR)
+            return
         with self._timed("condensation"):
             self._z.ghostUpdate(PETSc.InsertMode.INSERT, PETSc.ScatterMode.FORWARD)
             solution = x.array_w
@@ -290,6 +311,7 @@ class CondensedSolver:
             return True
         self._keep = False
         if self.ksp.getType() == PETSc.KSP.Type.PREONLY:
+            self.failure = f"the condensed matrix has {forget_factors(self.ksp)}"
             return False
         with self._timed("condensation"):
             projected = self._blocks.project()
@@ -368,6 +390,44 @@ class CondensedSolver:
         start = time.perf_counter()
         yield
         self.seconds[phase] += time.perf_counter() - start
+
+
+def _inverse(D: Floats) -> tuple[Floats, npt.NDArray[np.bool_]]:
+    """Inverses of the cells' blocks, and which of the unknowns are in a null space of one."""
+    resolved = 1.0 / np.finfo(float).eps
+    nothing = np.zeros(D.shape[1], dtype=bool)
+    try:
+        inverse: Floats = np.linalg.inv(D)
+        condition = np.linalg.norm(D, axis=(1, 2)) * np.linalg.norm(inverse, axis=(1, 2))
+        suspects = D[condition > resolved]
+    except np.linalg.LinAlgError:
+        inverse, suspects = D, D[np.isfinite(D).all(axis=(1, 2))]
+    if not len(suspects):
+        return inverse, nothing
+    _, values, vectors = np.linalg.svd(suspects)
+    null = vectors[values * resolved <= 10.0 * values[:, :1]]
+    return inverse, (np.abs(null) > 1e-3).any(axis=0)
+
+
+def forget_factors(ksp: PETSc.KSP) -> str:
+    """Have a matrix that could not be factorised factorised from scratch the next time.
+
+    PETSc 3.25 would not try again, and go on to solve with what there is not.
+
+    Returns:
+        What happened, in PETSc's words.
+    """
+    pc = ksp.getPC()
+    reason = _FAILURES.get(pc.getFailedReason(), "no factors")
+    operators = ksp.getOperators()
+    pc.reset()
+    ksp.setOperators(*operators)
+    return reason
+
+
+_FAILURES = {
+    value: name for name, value in vars(PETSc.PC.FailedReason).items() if isinstance(value, int)
+}
 
 
 def rigid_body_modes(V: fem.FunctionSpace) -> PETSc.NullSpace:

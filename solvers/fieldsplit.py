@@ -14,7 +14,7 @@ from petsc4py import PETSc
 from dolfinx import fem
 
 from solvers.compiled import weakly
-from solvers.condensation import rigid_body_modes
+from solvers.condensation import forget_factors, rigid_body_modes
 from solvers.elimination import DiagonalBlocks, Elimination, Floats, SchurComplements
 from solvers.layout import BlockLayout, Ints, require_local
 from solvers.options import KEEP_WHILE, Options
@@ -64,6 +64,8 @@ class FieldSplitSolver:
         if len(fields) == 1:
             self.options = {**INEXACT, **preconditioner.options}
         set_options(self.options)
+        # Of the condensed matrix.
+        self._innermost = ksp
         self._iterative: PETSc.KSP | None = None
         # The most iterations on the condensed matrix in one application with the preconditioner
         # in use, and with the last new one.
@@ -110,6 +112,7 @@ class FieldSplitSolver:
         """Count the iterations on the condensed matrix from here on."""
         if ksp.getPC().getType() == PETSc.PC.Type.KSP:
             self._iterative = ksp = ksp.getPC().getKSP()
+        self._innermost = ksp
         ksp.setPostSolve(weakly(self._count))
 
     def _count(self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
@@ -132,6 +135,10 @@ class FieldSplitSolver:
             self._iterative.getPC().setReusePreconditioner(self._kept)
             self._cost = 0
         self.seconds["condensation"] += time.perf_counter() - start
+
+    def forget_factors(self) -> str:
+        """See `condensation.forget_factors`."""
+        return forget_factors(self._innermost)
 
     def _name(self, field: int) -> str:
         return str(self._fields[field].name)

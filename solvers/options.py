@@ -40,8 +40,10 @@ DIRECT: Options = {
     "ksp_type": "preonly",
     "pc_type": "lu",
     "pc_factor_mat_solver_type": "mumps",
-    # The saddle point has zeros on the diagonal; pivoting fills in more than MUMPS foresees.
-    "mat_mumps_icntl_14": 60,
+    # Zeros on the diagonal: pivoting fills in more than MUMPS foresees, in percent of that.
+    "mat_mumps_icntl_14": 200,
+    # Rows and columns in turn: with materials of very different stiffness less to pivot for.
+    "mat_mumps_icntl_8": 8,
 }
 """LU factorisation of the whole block system."""
 

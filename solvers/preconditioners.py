@@ -82,13 +82,14 @@ GAMG: Options = {
     "ksp_type": "preonly",
     # Smooth with the condensed matrix, not with the Schur complement block by block.
     "pc_use_amat": False,
-    # A cycle is cheap beside an iteration on the whole system, so that a strong one pays.
+    # Cycles are cheap beside an iteration on the whole system, so that strong ones pay.
     "pc_gamg_aggressive_coarsening": 0,
-    "mg_levels_ksp_max_it": 3,
+    "mg_levels_ksp_max_it": 4,
+    "pc_mg_multiplicative_cycles": 2,
     # From one Newton iteration to the next the coarse spaces stay, their operators are made anew.
     "pc_gamg_reuse_interpolation": True,
 }
-"""One cycle of algebraic multigrid on the condensed matrix, with rigid-body modes."""
+"""Two cycles of algebraic multigrid on the condensed matrix, with rigid-body modes."""
 
 GMRES_GAMG: Options = {
     # As a preconditioner, GMRES multiplies by the condensed matrix itself; as the solver of the
@@ -160,7 +161,7 @@ _TRIANGULAR = "block-triangular, GMRES"
 _DIAGONAL = "block-diagonal, MINRES"
 PRECONDITIONERS: Mapping[str, Preconditioner] = {
     "schur-full-mumps": Preconditioner(f"{_FULL}; LDLᵀ of K", FGMRES, FULL, True, MUMPS),
-    "schur-full-gamg": Preconditioner(f"{_FULL}; a GAMG cycle on K", FGMRES, FULL, True, GAMG),
+    "schur-full-gamg": Preconditioner(f"{_FULL}; two GAMG cycles on K", FGMRES, FULL, True, GAMG),
     "schur-full-gmres": Preconditioner(
         f"{_FULL}; GMRES with GAMG on K", FGMRES, FULL, True, GMRES_GAMG
     ),
@@ -168,13 +169,13 @@ PRECONDITIONERS: Mapping[str, Preconditioner] = {
         f"{_TRIANGULAR}; LDLᵀ of K", GMRES, UPPER, True, MUMPS
     ),
     "block-triangular-gamg": Preconditioner(
-        f"{_TRIANGULAR}; a GAMG cycle on K", GMRES, UPPER, True, GAMG
+        f"{_TRIANGULAR}; two GAMG cycles on K", GMRES, UPPER, True, GAMG
     ),
     "block-diagonal-mumps": Preconditioner(
         f"{_DIAGONAL}; LDLᵀ of K", MINRES, ADDITIVE, False, MUMPS
     ),
     "block-diagonal-gamg": Preconditioner(
-        f"{_DIAGONAL}; a GAMG cycle on K", MINRES, ADDITIVE, False, GAMG
+        f"{_DIAGONAL}; two GAMG cycles on K", MINRES, ADDITIVE, False, GAMG
     ),
 }
 """Preconditioners by name; K is the condensed matrix. "schur-full" stands for the first on small

@@ -30,6 +30,7 @@ from solvers.condensation import (
     CondensedBlocks,
     CondensedSolver,
     NothingToEliminate,
+    forget_factors,
 )
 from solvers.fieldsplit import FieldSplitSolver
 from solvers.layout import BlockLayout
@@ -125,6 +126,7 @@ class MixedProblem:
         self._residuals: list[float] = []
         self._krylov: list[int] = []
         self._inner: list[int] = []
+        self._linear_failure = ""
         self._timings: dict[str, float] = {}
 
         logger.info("compiling the residual and the Jacobian (cached on disk afterwards)")
@@ -207,6 +209,7 @@ class MixedProblem:
             self.problem.meet_conditions()
         self._norms, self._residuals, self._energies = [], [], []
         self._krylov, self._inner = [], []
+        self._linear_failure = ""
         self._timings = {"residual": 0.0, "jacobian": 0.0}
         if not self._scaled:
             self._set_scales()
@@ -281,8 +284,20 @@ class MixedProblem:
     def _iterate(self, x: PETSc.Vec) -> None:
         snes = self.problem.solver
         snes.solve(None, x)
-        if snes.getConvergedReason() == PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE:
-            self._count_krylov()  # of the iteration that did not come to its end
+        if snes.getConvergedReason() != PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE:
+            return
+        self._count_krylov()  # of the iteration that did not come to its end
+        ksp = snes.getKSP()
+        linear = ksp.getConvergedReason()
+        self._linear_failure = str(_LINEAR_REASONS.get(linear, linear))
+        if linear == PETSc.KSP.ConvergedReason.DIVERGED_PCSETUP_FAILED:
+            if self.condensed is not None:
+                why = self.condensed.failure
+            elif self.fieldsplit is not None:
+                why = self.fieldsplit.forget_factors()
+            else:
+                why = forget_factors(ksp)
+            self._linear_failure += f": {why}"
 
     def _count_krylov(self) -> None:
         """Note the linear iterations of the Newton iteration just made."""
@@ -420,7 +435,8 @@ class MixedProblem:
         local = np.s_[1:]
         for _ in range(50 if n > 1 else 0):
             block = scales[local, None] * entries[local, local] * scales[local]
-            scales[local] /= np.sqrt(block.max(axis=1))
+            largest = block.max(axis=1)
+            scales[local] /= np.sqrt(np.where(largest > 0.0, largest, 1.0))
         scales[0] = 1.0 / max(np.sqrt(entries[0, 0]), *(entries[0, local] * scales[local]), 0.0)
         # A state without a Jacobian is for Newton's method to report.
         self.scales[:] = scales if np.isfinite(scales).all() else 1.0
@@ -488,10 +504,9 @@ class MixedProblem:
             logger.warning("options that nothing has used: %s", ", ".join(sorted(unread)))
 
     def _explain(self, reason: int) -> str:
-        """PETSc's name of the reason, and of the linear solver's where that is to blame."""
+        """PETSc's name of the reason, and what the linear solver says where that is to blame."""
         if reason == PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE:
-            linear = self.problem.solver.getKSP().getConvergedReason()
-            return f"{_REASONS[reason]} ({_LINEAR_REASONS.get(linear, linear)})"
+            return f"{_REASONS[reason]} ({self._linear_failure})"
         return _REASONS[reason]
 
     def _round_off(self) -> float:
@@ -507,7 +522,8 @@ class MixedProblem:
         size = float(np.linalg.norm(corners[:3] + corners[3:])) / self.scales[0]
         dofmap = self.fields[0].function_space.dofmap
         norm = np.hypot(self.problem.x.norm(), size * np.sqrt(dofmap.index_map.size_global))
-        return float(np.finfo(float).eps * norm)
+        # A start that is no state is for Newton's method to report.
+        return float(np.nan_to_num(np.finfo(float).eps * norm))
 
 
 def _nonlinear_problem(

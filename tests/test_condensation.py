@@ -306,7 +306,8 @@ def free_communicators():
 
 @pytest.mark.parametrize("formulation", ["symmetric", "displacement"])
 @pytest.mark.parametrize(
-    ("solver", "compiled"), [("direct", False), ("condensed", False), ("condensed", True)]
+    ("solver", "compiled"),
+    [("direct", False), ("fieldsplit", False), ("condensed", False), ("condensed", True)],
 )
 def test_a_problem_is_freed(formulation, solver, compiled):
     """With its mesh and PETSc's objects, which hold communicators: there are only so many."""

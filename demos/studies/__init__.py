@@ -2,13 +2,16 @@
 
 from demos.studies.cost import COST
 from demos.studies.newton import NEWTON
+from demos.studies.preconditioner import PRECONDITIONER
 from demos.studies.refinement import REFINEMENT
+from demos.studies.scaling import SCALING
 from demos.studies.stiffness import STIFFNESS
 from demos.studies.study import Interrupted, Outcome, Record, Study, run
 from demos.studies.timestep import TIMESTEP
 
 STUDIES: dict[str, Study] = {
-    study.name: study for study in (COST, NEWTON, REFINEMENT, STIFFNESS, TIMESTEP)
+    study.name: study
+    for study in (COST, NEWTON, PRECONDITIONER, REFINEMENT, SCALING, STIFFNESS, TIMESTEP)
 }
 """Studies by name."""
 

@@ -72,6 +72,7 @@ def bar(
     compiled: bool = True,
     projected: bool = False,
     solver: str = "condensed",
+    preconditioner: str | None = None,
     options: Mapping[str, Any] | None = None,
 ) -> Bar:
     """Build a bar at rest, or spinning. Collective.
@@ -88,6 +89,7 @@ def bar(
         compiled: Whether to use a compiled kernel where there is one.
         projected: See `solvers.MixedProblem`.
         solver: A name in `solvers.SOLVERS`.
+        preconditioner: A name in `solvers.PRECONDITIONERS`, with `solver="fieldsplit"`.
         options: PETSc options.
     """
     d = dimension
@@ -112,6 +114,13 @@ def bar(
     kernel = form.kernel(*fields, psi) if compiled and form.kernel is not None else None
     energy = kinetic if kernel is not None else form.density(*fields, psi) * ufl.dx + kinetic
     problem = MixedProblem(
-        energy, fields, bcs, solver=solver, kernel=kernel, projected=projected, options=options
+        energy,
+        fields,
+        bcs,
+        solver=solver,
+        preconditioner=preconditioner,
+        kernel=kernel,
+        projected=projected,
+        options=options,
     )
     return Bar(form, psi, fields, scheme, problem, kernel, [])

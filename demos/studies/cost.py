@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mpi4py import MPI
@@ -18,6 +17,7 @@ from mpi4py import MPI
 import numpy as np
 
 from demos.studies.bar import Bar, bar
+from demos.studies.memory import forget_peak, peak_memory
 from demos.studies.study import Parameters, Record, Study
 from solvers.options import CONDENSED_CG
 
@@ -88,7 +88,7 @@ def compute(comm: MPI.Comm, case: Parameters) -> Record:
     variants = VARIANTS if case["kind"] == "grid" else VARIANTS[:2]
     for variant in variants:  # what is compiled or loaded once is not to be timed
         _build(comm, variant, {**case, "n": 1, "E": 1e7, "h": 0.1}).step()
-    _forget_peak()
+    forget_peak()
     runs = {variant: _build(comm, variant, case) for variant in variants}
     for _ in range(case["steps"]):
         for run in runs.values():
@@ -98,7 +98,7 @@ def compute(comm: MPI.Comm, case: Parameters) -> Record:
     for variant, run in runs.items():
         record |= {f"{variant}_{name}": value for name, value in _record(comm, run).items()}
     if case["kind"] == "mesh":
-        record["peak_memory"] = comm.allreduce(_peak_memory())
+        record["peak_memory"] = comm.allreduce(peak_memory())
         for variant, run in runs.items():
             record[f"{variant}_local"] = comm.allreduce(_local_work(run), op=MPI.MAX)
     return record
@@ -125,22 +125,6 @@ def _local_work(run: Bar) -> float:
         times.append(time.perf_counter() - start)
     # The first compiles, or loads what is not in memory.
     return _median(times[1:]) / mesh.topology.index_map(mesh.topology.dim).size_local
-
-
-def _forget_peak() -> None:
-    """Start to measure the peak memory of this process anew, where Linux lets one."""
-    try:
-        Path("/proc/self/clear_refs").write_text("5")
-    except OSError:
-        return
-
-
-def _peak_memory() -> float:
-    """Peak resident memory of this process [GB]."""
-    for line in Path("/proc/self/status").read_text().splitlines():
-        if line.startswith("VmHWM:"):
-            return int(line.split()[1]) / 1e6
-    return float("nan")
 
 
 def _median(values: Sequence[float]) -> float:

@@ -42,6 +42,7 @@ class Study:
         table: Lines to show of all records, on rank 0.
         draw: Draws the records into a figure, on rank 0; None if there is nothing to draw.
         verdict: Lines that name what the records fall short of, on rank 0.
+        starts_ranks: Whether it starts runs on several ranks by itself, and must be run in serial.
     """
 
     name: str
@@ -51,6 +52,7 @@ class Study:
     table: Callable[[Sequence[Record]], list[str]]
     draw: Callable[[Sequence[Record], Figure], None] | None = None
     verdict: Callable[[Sequence[Record]], list[str]] = lambda records: []
+    starts_ranks: bool = False
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,302 @@
+"""`mixed-fem study preconditioner`: block preconditioners over mesh, stiffness, contrast, ν and h.
+
+A bar of 4 m × 1 m × 1 m, clamped at x = 0, two layers of stable neo-Hookean material, the upper one
+`contrast` times as stiff as the lower. It starts to fall under gravity, for two steps; a static bar
+gets its weight in two parts. One parameter at a time departs from a base case. Beside the
+preconditioners stands the condensed solver with the same linear solver on the displacement; all
+assemble by UFL.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from mpi4py import MPI
+
+import numpy as np
+import ufl
+from dolfinx import fem, mesh
+
+from demos.studies.memory import forget_peak, peak_memory, release, resident_memory
+from demos.studies.study import Parameters, Record, Study
+from forms import FORMULATIONS, BackwardEuler, StableNeoHookean, by_tag
+from meshes import Where, box
+from solvers import PRECONDITIONERS, ConvergenceError, MixedProblem, SolveResult
+from solvers.options import CONDENSED_CG, CONDENSED_DIRECT, Options
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+RHO, GRAVITY = 1000.0, 9.81  # [kg/m³], [m/s²]
+STATIC = 1e6  # [s], a step in which inertia is less than rounding error
+
+BASE = {"E": 1e7, "contrast": 1.0, "nu": 0.45, "h": 0.1}  # [Pa], [-], [-], [s]
+AXES: dict[str, tuple[float, ...]] = {
+    "E": (1e4, 1e5, 1e6, 1e8, 1e9, 1e10),
+    "contrast": (1e2, 1e4, 1e6, 1e8),
+    "nu": (0.3, 0.49, 0.499),
+    "h": (1e-3, 1e-2, 1.0, STATIC),
+}
+"""Values of each parameter apart from the base case's."""
+
+QUICK_AXES = {"E": (1e4, 1e10), "contrast": (1e8,), "nu": (0.3, 0.499), "h": (1e-3, STATIC)}
+
+# Cells across the bar; 24 n³ tetrahedra.
+COARSE, FINEST = 4, 26
+MESHES = (COARSE, 8, 16)
+
+MUMPS, GAMG = "condensed-mumps", "condensed-gamg"
+CONDENSED: dict[str, Options] = {MUMPS: CONDENSED_DIRECT, GAMG: CONDENSED_CG}
+"""The condensed solver by what it solves with."""
+
+LIKE = {"schur-full-mumps": MUMPS, "schur-full-gmres": GAMG}
+"""What "schur-full" stands for, and the condensed solver that does the same on K."""
+
+FULL = ("schur-full-mumps", "schur-full-gamg", "schur-full-gmres")
+
+METHODS = (*PRECONDITIONERS, *CONDENSED)
+
+MOST_KRYLOV = {"schur-full-mumps": 1, "schur-full-gamg": 25}
+GROWTH = 1.3  # of the Krylov iterations of schur-full-gamg over a factor of 8 in tetrahedra
+SLOWER = 1.5  # than the condensed solver
+SAME = 1e-9  # as the whole system factorised, relative
+
+
+def grid(quick: bool) -> list[Parameters]:
+    """Meshes in the base case, then departures from it on the coarsest."""
+    some = [*FULL, *CONDENSED]
+    cases = []
+    for n in MESHES[:2] if quick else MESHES:
+        cases += [case("mesh", n, m) for m in (some if quick else METHODS)]
+    if not quick:
+        cases += [case("mesh", FINEST, m) for m in ("schur-full-gmres", GAMG)]
+    for axis, values in (QUICK_AXES if quick else AXES).items():
+        cases += [case(axis, COARSE, m, **{axis: value}) for value in values for m in some]
+    return cases
+
+
+def case(axis: str, n: int, method: str, **changes: float) -> Parameters:
+    """The parameters of a case that departs from the base case along an axis."""
+    return {
+        **{"axis": axis, "tetrahedra": 24 * n**3, "n": n, "method": method},
+        "steps": 1 if n == FINEST else 2,
+        **BASE,
+        **changes,
+    }
+
+
+@dataclass
+class _Run:
+    """Some steps of the bar with one solver.
+
+    Attributes:
+        fields: The unknowns.
+        results: One for each step that succeeded.
+        failure: Why a step did not, or nothing.
+    """
+
+    fields: tuple[fem.Function[Any], ...]
+    results: list[SolveResult]
+    failure: str = ""
+
+
+def _march(comm: MPI.Comm, parameters: Parameters, **solver: Any) -> _Run:
+    n, h = parameters["n"], parameters["h"]
+    body = box(comm, size=(4.0, 1.0, 1.0), cells=(4 * n, n, n))
+    form = FORMULATIONS["symmetric"]
+    fields = form.fields(body.mesh)
+    u = fields[0]
+    V = u.function_space
+    index_map = body.mesh.topology.index_map(3)
+    every = np.arange(index_map.size_local + index_map.num_ghosts, dtype=np.int32)
+    upper = mesh.compute_midpoints(body.mesh, 3, every)[:, 1] > 0.5
+    layers = mesh.meshtags(body.mesh, 3, every, upper.astype(np.int32))
+    E, nu = parameters["E"], parameters["nu"]
+    psi = by_tag(
+        body.mesh,
+        layers,
+        {0: StableNeoHookean(E, nu), 1: StableNeoHookean(E * parameters["contrast"], nu)},
+    )
+    scheme = BackwardEuler(u, h, (0.0, -GRAVITY, 0.0))
+    energy = form.density(*fields, psi) * ufl.dx + scheme.kinetic(RHO) * ufl.dx
+    clamped = body.dofs(V, Where(extents=(("x", "min"),)))
+    bcs = [fem.dirichletbc(np.zeros(3), clamped, V)]
+    problem = MixedProblem(energy, fields, bcs, **solver)
+    run = _Run(fields, [])
+    for step in range(parameters["steps"]):
+        if h == STATIC:
+            scheme.acceleration.value[1] = -GRAVITY * (step + 1) / parameters["steps"]
+        comm.barrier()
+        try:
+            run.results.append(problem.solve())
+        except ConvergenceError as error:
+            run.failure = error.result.reason
+            break
+        scheme.advance()
+    return run
+
+
+def _solver(method: str) -> dict[str, Any]:
+    if method in CONDENSED:
+        prefixed = {f"condensed_{key}": value for key, value in CONDENSED[method].items()}
+        return {"solver": "condensed", "options": prefixed}
+    return {"solver": "fieldsplit", "preconditioner": method}
+
+
+def compute(comm: MPI.Comm, parameters: Parameters) -> Record:
+    """Compute the steps, and where the mesh is coarse the same with `direct`. Collective."""
+    release(comm)
+    forget_peak()
+    before = resident_memory()
+    run = _march(comm, parameters, **_solver(parameters["method"]))
+    memory = comm.allreduce(peak_memory() - before)
+    record: Record = {
+        "failure": run.failure,
+        "newton": [result.iterations for result in run.results],
+        "krylov_mean": None,
+        "krylov_max": None,
+        "seconds": None,
+        "memory": memory,
+        "difference": None,
+    }
+    krylov = [k for result in run.results for k in result.krylov]
+    if run.failure or not krylov:
+        return record
+    record["krylov_mean"], record["krylov_max"] = float(np.mean(krylov)), max(krylov)
+    last = run.results[-1]
+    seconds = comm.allreduce(last.timings["total"], op=MPI.MAX)
+    record["seconds"] = seconds / max(last.iterations, 1)
+    if parameters["n"] <= COARSE:
+        whole = _march(comm, parameters, solver="direct")
+        if not whole.failure:
+            # Not of Y: stresses carry the rounding error of strains times the stiffness.
+            record["difference"] = max(map(_difference, run.fields[:2], whole.fields[:2]))
+    return record
+
+
+def _difference(f: fem.Function, expected: fem.Function) -> float:
+    """Relative Euclidean difference of two functions on the same mesh."""
+    comm, owned = f.function_space.mesh.comm, f.function_space.dofmap.index_map.size_local
+    size = owned * f.function_space.dofmap.index_map_bs
+    a, b = f.x.array[:size], expected.x.array[:size]
+    squares = comm.allreduce(np.array([np.sum((a - b) ** 2), np.sum(b**2)]))
+    return float(np.sqrt(squares[0] / squares[1]))
+
+
+def _departure(r: Record) -> str:
+    """Where a case is in the grid, in words."""
+    if r["axis"] == "mesh":
+        return "base case"
+    value = r[r["axis"]]
+    return "static" if value == STATIC else f"{r['axis']} = {value:g}"
+
+
+def table(records: Sequence[Record]) -> list[str]:
+    """A row a case."""
+    base = ", ".join(f"{name} = {value:g}" for name, value in BASE.items())
+    lines = [
+        "",
+        f"Base case: {base} (SI units). 'newton': iterations of each step; 'krylov': iterations of",
+        "the outer method, or of the condensed solver, a Newton iteration; 's': seconds a Newton",
+        "iteration of the last step, with the set-up if that is the first; 'kB/tet': peak memory;",
+        "'off': relative difference of u and S from those of `direct`.",
+    ]
+    place = None
+    for r in records:
+        if place != (r["tetrahedra"], _departure(r)):
+            place = r["tetrahedra"], _departure(r)
+            lines += [
+                "",
+                f"{place[1]}, {place[0]} tetrahedra",
+                f"  {'':<24} {'newton':>7} {'krylov':>6}"
+                f" {'max':>4} {'s':>7} {'kB/tet':>7} {'off':>6}",
+            ]
+        lines.append(f"  {r['method']:<24} {_figures(r)}")
+    return lines
+
+
+def _figures(r: Record) -> str:
+    if r["failure"]:
+        return f"fails at step {len(r['newton']) + 1}: {r['failure']}"
+    newton = " ".join(map(str, r["newton"]))
+    off = "" if r["difference"] is None else f"{r['difference']:.0e}"
+    return (
+        f"{newton:>7} {r['krylov_mean']:>6.1f} {r['krylov_max']:>4d} {r['seconds']:>7.3f} "
+        f"{1e6 * r['memory'] / r['tetrahedra']:>7.1f} {off:>6}"
+    ).rstrip()
+
+
+def verdict(records: Sequence[Record]) -> list[str]:
+    """Failures, too many Krylov iterations, their growth, time, and other results than `direct`."""
+    lines = []
+    where = {
+        id(r): f"{r['method']}, {_departure(r)}, {r['tetrahedra']} tetrahedra" for r in records
+    }
+    for r in records:
+        if r["failure"]:
+            lines.append(f"{where[id(r)]}: {r['failure']}")
+            continue
+        most = MOST_KRYLOV.get(r["method"])
+        if most is not None and r["krylov_max"] > most:
+            lines.append(f"{where[id(r)]}: {r['krylov_max']} Krylov iterations, more than {most}")
+        if r["difference"] is not None and r["difference"] > SAME:
+            lines.append(f"{where[id(r)]}: {r['difference']:.1e} from `direct`, more than {SAME:g}")
+    done = {(_departure(r), r["n"], r["method"]): r for r in records if not r["failure"]}
+    for (departure, n, method), r in done.items():
+        like = done.get((departure, n, LIKE.get(method, "")))
+        # Smaller cases are a matter of Python.
+        if like is not None and n > COARSE and r["seconds"] > SLOWER * like["seconds"]:
+            lines.append(
+                f"{where[id(r)]}: {r['seconds'] / like['seconds']:.2f} times the seconds of "
+                f"{like['method']}, more than {SLOWER:g}"
+            )
+        finer = done.get((departure, 2 * n, method))
+        if method != "schur-full-gamg" or finer is None or n <= COARSE:
+            continue
+        growth = finer["krylov_mean"] / r["krylov_mean"]
+        if growth > GROWTH:
+            lines.append(
+                f"{method}: Krylov iterations grow {growth:.2f} times from {r['tetrahedra']} to "
+                f"{finer['tetrahedra']} tetrahedra, more than {GROWTH:g}"
+            )
+    return lines
+
+
+def draw(records: Sequence[Record], figure: Figure) -> None:
+    """Krylov iterations and seconds over the mesh, iterations over each other axis."""
+    figure.set_size_inches(11.0, 6.5)
+    plots = figure.subplots(2, 3).ravel()
+    good = [r for r in records if not r["failure"]]
+    meshes = [r for r in good if r["axis"] == "mesh"]
+    for method in METHODS:
+        style = "s--" if method in CONDENSED else "o-"
+        rows = [r for r in meshes if r["method"] == method]
+        sizes = [r["tetrahedra"] for r in rows]
+        plots[0].loglog(sizes, [r["krylov_mean"] for r in rows], style, ms=3, label=method)
+        seconds = [1e6 * r["seconds"] / r["tetrahedra"] for r in rows]
+        plots[1].loglog(sizes, seconds, style, ms=3)
+        for plot, axis in zip(plots[2:], AXES, strict=True):
+            rows = [r for r in good if r["method"] == method and r["axis"] in (axis, "mesh")]
+            rows = sorted((r for r in rows if r["n"] == COARSE), key=lambda r: r[axis])
+            # Over ν the distance to 1/2; a static case stands at the end.
+            x = [0.5 - r["nu"] if axis == "nu" else min(r[axis], 10.0) for r in rows]
+            plot.loglog(x, [r["krylov_mean"] for r in rows], style, ms=3)
+            plot.set_title(f"{24 * COARSE**3} tetrahedra", fontsize=8)
+    names = ("E [Pa]", "contrast", "1/2 - ν", "h [s]; 10: static")
+    labels = ("tetrahedra", "tetrahedra", *names)
+    for k, (plot, label) in enumerate(zip(plots, labels, strict=True)):
+        plot.set(xlabel=label, ylabel="µs a tetrahedron" if k == 1 else "Krylov iterations")
+    plots[0].legend(fontsize=5)
+
+
+PRECONDITIONER = Study(
+    name="preconditioner",
+    description="Krylov iterations, seconds, memory of block preconditioners; mesh, E, ν, h",
+    grid=grid,
+    compute=compute,
+    table=table,
+    draw=draw,
+    verdict=verdict,
+)
