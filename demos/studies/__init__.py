@@ -1,6 +1,7 @@
 """Studies: grids of cases with a table, files and a figure. `mixed-fem study NAME`."""
 
 from demos.studies.cost import COST
+from demos.studies.few_iterations import FEW_ITERATIONS
 from demos.studies.newton import NEWTON
 from demos.studies.refinement import REFINEMENT
 from demos.studies.stiffness import STIFFNESS
@@ -8,7 +9,8 @@ from demos.studies.study import Interrupted, Outcome, Record, Study, run
 from demos.studies.timestep import TIMESTEP
 
 STUDIES: dict[str, Study] = {
-    study.name: study for study in (COST, NEWTON, REFINEMENT, STIFFNESS, TIMESTEP)
+    study.name: study
+    for study in (COST, FEW_ITERATIONS, NEWTON, REFINEMENT, STIFFNESS, TIMESTEP)
 }
 """Studies by name."""
 
