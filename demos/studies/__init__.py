@@ -1,5 +1,6 @@
 """Studies: grids of cases with a table, files and a figure. `mixed-fem study NAME`."""
 
+from demos.studies.benchmark import BENCHMARK
 from demos.studies.cost import COST
 from demos.studies.few_iterations import FEW_ITERATIONS
 from demos.studies.newton import NEWTON
@@ -10,7 +11,7 @@ from demos.studies.timestep import TIMESTEP
 
 STUDIES: dict[str, Study] = {
     study.name: study
-    for study in (COST, FEW_ITERATIONS, NEWTON, REFINEMENT, STIFFNESS, TIMESTEP)
+    for study in (BENCHMARK, COST, FEW_ITERATIONS, NEWTON, REFINEMENT, STIFFNESS, TIMESTEP)
 }
 """Studies by name."""
 

@@ -51,7 +51,9 @@ MEASURES = {"residual": "displacement residual", "position": "position error"}
 def grid(quick: bool) -> list[Parameters]:
     """Contrasts, each by every method."""
     contrasts = (1.0, 1e3, 1e6, 1e9) if quick else tuple(10.0**k for k in range(10))
-    return [case(method, contrast, 2 if quick else 3) for method in METHODS for contrast in contrasts]
+    return [
+        case(method, contrast, 2 if quick else 3) for method in METHODS for contrast in contrasts
+    ]
 
 
 def case(method: str, contrast: float, n: int, dimension: int = 3) -> Parameters:
@@ -191,17 +193,18 @@ def draw(records: Sequence[Record], figure: Figure) -> None:
     figure.set_size_inches(2.6 * len(series), 5.0)
     plots = figure.subplots(len(MEASURES), len(series), squeeze=False, sharex=True, sharey="row")
     for column, (method, rows) in zip(plots.T, series.items(), strict=True):
-        for plot, (name, title) in zip(column, MEASURES.items(), strict=True):
-            for shade, n in zip(np.linspace(0.3, 1.0, len(COUNTS)), COUNTS, strict=True):
+        contrasts = [r["contrast"] for r in rows]
+        for plot, name in zip(column, MEASURES, strict=True):
+            for k, n in enumerate(COUNTS):
                 # Rounding error is all there is below.
                 values = [max(r[f"{name}_{n}"], 1e-13) for r in rows]
-                contrasts = [r["contrast"] for r in rows]
                 label = f"{n} iteration{'s' * (n > 1)}"
-                plot.loglog(contrasts, values, "o-", color="C0", alpha=shade, ms=3, label=label)
-            if column is plots.T[0]:
-                plot.set_ylabel(f"relative {title}")
+                plot.loglog(contrasts, values, "o-", color=f"C{k}", markersize=3, label=label)
+            plot.grid(alpha=0.3)
         column[0].set_title(method, fontsize=10)
         column[-1].set_xlabel("contrast of stiffness")
+    for plot, title in zip(plots[:, 0], MEASURES.values(), strict=True):
+        plot.set_ylabel(f"relative {title}")
     plots[-1, -1].legend(fontsize=7)
 
 
