@@ -2,6 +2,7 @@
 
 from demos.studies.benchmark import BENCHMARK
 from demos.studies.cost import COST
+from demos.studies.equivalence import EQUIVALENCE
 from demos.studies.few_iterations import FEW_ITERATIONS
 from demos.studies.newton import NEWTON
 from demos.studies.refinement import REFINEMENT
@@ -11,7 +12,16 @@ from demos.studies.timestep import TIMESTEP
 
 STUDIES: dict[str, Study] = {
     study.name: study
-    for study in (BENCHMARK, COST, FEW_ITERATIONS, NEWTON, REFINEMENT, STIFFNESS, TIMESTEP)
+    for study in (
+        BENCHMARK,
+        COST,
+        EQUIVALENCE,
+        FEW_ITERATIONS,
+        NEWTON,
+        REFINEMENT,
+        STIFFNESS,
+        TIMESTEP,
+    )
 }
 """Studies by name."""
 

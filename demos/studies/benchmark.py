@@ -116,7 +116,7 @@ def _vibration(msh: Mesh, formulation: str, psi: Corotational, t: float) -> Reco
         "frequency": frequency,
         "timoshenko": reference,
         "bernoulli": CLAMPED_FREE**2,
-        "deviation": frequency / reference - 1,
+        "deviation": float(frequency / reference - 1),
     }
 
 
@@ -237,10 +237,11 @@ def draw(records: Sequence[Record], figure: Figure) -> None:
         left.annotate(
             name, (LOADS[-2], elastica(LOADS[-2])[k]), (0, -16), textcoords="offset points"
         )
-    for k, r in enumerate(r for r in records if r["kind"] == "elastica" and not r["failure"]):
-        for name in ("u", "w"):
-            label = f"{r['cells']} cells across" if name == "w" else ""
-            left.plot(LOADS, r[name], "o", ms=3, color=f"C{k}", label=label)
+    across = sorted({r["cells"] for r in records})
+    for r in (r for r in records if r["kind"] == "elastica" and not r["failure"]):
+        color = f"C{across.index(r['cells'])}"
+        left.plot(LOADS, r["w"], "o", ms=3, color=color, label=f"w, {r['cells']} across")
+        left.plot(LOADS, r["u"], "s", ms=3, mfc="none", color=color)
     left.set(xlabel="P L² / (E I)", ylabel="tip displacement / L", title="cantilever, tip load")
     left.legend(fontsize=7)
     for kind, label in (("elastica", "w of the elastica"), ("vibration", "first frequency")):
@@ -251,6 +252,8 @@ def draw(records: Sequence[Record], figure: Figure) -> None:
             if done:
                 cells = [r["cells"] for r in done]
                 right.loglog(cells, deviations, style, ms=4, label=f"{label}, {formulation}")
+    right.set_xticks(across, [str(n) for n in across])
+    right.minorticks_off()
     right.set(xlabel="cells across the beam", ylabel="relative deviation", title="by refinement")
     right.legend(fontsize=7)
     right.grid(alpha=0.3)
