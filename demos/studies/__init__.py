@@ -4,6 +4,7 @@ from demos.studies.benchmark import BENCHMARK
 from demos.studies.cost import COST
 from demos.studies.equivalence import EQUIVALENCE
 from demos.studies.few_iterations import FEW_ITERATIONS
+from demos.studies.locking import LOCKING
 from demos.studies.newton import NEWTON
 from demos.studies.refinement import REFINEMENT
 from demos.studies.stiffness import STIFFNESS
@@ -17,6 +18,7 @@ STUDIES: dict[str, Study] = {
         COST,
         EQUIVALENCE,
         FEW_ITERATIONS,
+        LOCKING,
         NEWTON,
         REFINEMENT,
         STIFFNESS,
