@@ -543,6 +543,10 @@ def _nonlinear_problem(
         [_or_none(ufl.derivative(r, f, du)) for f, du in zip(fields, trials, strict=True)]
         for r in residual
     ]
+    if jacobian[0][0] is None:
+        # The rows of Dirichlet conditions need a block to stand in.
+        zero = fem.Constant(fields[0].function_space.mesh, 0.0)
+        jacobian[0][0] = zero * ufl.inner(trials[0], tests[0]) * ufl.dx
     problem = NonlinearProblem(
         residual,
         fields,

@@ -15,6 +15,7 @@ import numpy as np
 import ufl
 from dolfinx import fem
 
+from demos.scene import SCHEMES
 from demos.studies.bar import RHO, bar
 from demos.studies.study import Parameters, Record, Study
 
@@ -23,15 +24,16 @@ if TYPE_CHECKING:
 
 END, E = 0.32, 1e6  # [s], [Pa]
 QUANTITIES = ("u", "v", "energy")
-ORDER = 1
-"""Of backward Euler, in every quantity."""
+ORDERS = {"backward-euler": 1}
+"""Of each scheme, in every quantity."""
 
 
 def grid(quick: bool) -> list[Parameters]:
     """Numbers of steps; the last is the reference."""
     counts = (16, 32, 64, 512) if quick else (16, 32, 64, 128, 256, 4096)
     return [
-        {"formulation": formulation, "steps": steps}
+        {"scheme": scheme, "formulation": formulation, "steps": steps}
+        for scheme in SCHEMES
         for formulation in ("symmetric", "displacement")
         for steps in counts
     ]
@@ -40,7 +42,15 @@ def grid(quick: bool) -> list[Parameters]:
 def compute(comm: MPI.Comm, parameters: Parameters) -> Record:
     """March to the end. Collective."""
     steps = parameters["steps"]
-    run = bar(comm, parameters["formulation"], n=2, E=E, h=END / steps, dimension=2)
+    run = bar(
+        comm,
+        parameters["formulation"],
+        scheme=parameters["scheme"],
+        n=2,
+        E=E,
+        h=END / steps,
+        dimension=2,
+    )
     for _ in range(steps):
         run.step()
     u, v = run.fields[0], run.scheme.v
@@ -71,22 +81,27 @@ def compute(comm: MPI.Comm, parameters: Parameters) -> Record:
     }
 
 
-def errors(records: Sequence[Record]) -> list[Record]:
-    """Errors of each formulation and quantity against the finest step.
+def errors(records: Sequence[Record]) -> dict[tuple[str, str], list[Record]]:
+    """Errors against the finest step, by scheme and formulation.
 
     Relative to the norm of the quantity, that of the total energy to the kinetic energy.
     """
-    found = []
-    for formulation in dict.fromkeys(r["formulation"] for r in records):
-        *coarse, fine = (r for r in records if r["formulation"] == formulation)
-        for r in coarse:
-            error: Record = {"formulation": formulation, "h": r["h"], "failure": r["failure"]}
-            for name in QUANTITIES:
-                difference = np.linalg.norm(np.subtract(r[name], fine[name]))
-                scale = fine["kinetic"] if name == "energy" else np.linalg.norm(fine[name])
-                error[name] = float(difference / scale)
-            found.append(error)
+    series: dict[tuple[str, str], list[Record]] = {}
+    for r in records:
+        series.setdefault((r["scheme"], r["formulation"]), []).append(r)
+    found = {}
+    for key, (*coarse, fine) in series.items():
+        found[key] = [{"h": r["h"], **_error(r, fine)} for r in coarse]
     return found
+
+
+def _error(r: Record, fine: Record) -> Record:
+    error = {}
+    for name in QUANTITIES:
+        difference = np.linalg.norm(np.subtract(r[name], fine[name]))
+        scale = fine["kinetic"] if name == "energy" else np.linalg.norm(fine[name])
+        error[name] = float(difference / scale)
+    return error
 
 
 def orders(levels: Sequence[Record]) -> dict[str, float]:
@@ -98,54 +113,54 @@ def orders(levels: Sequence[Record]) -> dict[str, float]:
     }
 
 
-def _by_formulation(records: Sequence[Record]) -> dict[str, list[Record]]:
-    series: dict[str, list[Record]] = {}
-    for error in errors(records):
-        series.setdefault(error["formulation"], []).append(error)
-    return series
-
-
 def table(records: Sequence[Record]) -> list[str]:
     """Relative errors at the end, and orders."""
-    lines = ["", f"Backward Euler, relative errors at t = {END} s against the finest step:", ""]
-    lines.append(f"{'formulation':<14} {'h [s]':>9}  " + "  ".join(f"{q:>9}" for q in QUANTITIES))
-    for formulation, levels in _by_formulation(records).items():
+    lines = ["", f"Relative errors at t = {END} s against the finest step:", ""]
+    head = "  ".join(f"{q:>9}" for q in QUANTITIES)
+    lines.append(f"{'scheme':<16} {'formulation':<14} {'h [s]':>9}  {head}")
+    for (scheme, formulation), levels in errors(records).items():
         for r in levels:
             shown = "  ".join(f"{r[name]:>9.2e}" for name in QUANTITIES)
-            lines.append(f"{formulation:<14} {r['h']:>9.2e}  {shown}")
+            lines.append(f"{scheme:<16} {formulation:<14} {r['h']:>9.2e}  {shown}")
         found = orders(levels)
         shown = "  ".join(f"{found[name]:>9.2f}" for name in QUANTITIES)
-        lines.append(f"{'':<14} {'order':>9}  {shown}")
+        lines.append(f"{'':<31} {'order':>9}  {shown}")
     return lines
 
 
 def verdict(records: Sequence[Record]) -> list[str]:
     """Orders more than 0.15 from what is expected, which a finite reference lifts a little."""
     return [
-        f"{formulation}: {name} has order {found[name]:.2f}, expected {ORDER}"
-        for formulation, levels in _by_formulation(records).items()
+        f"{scheme}, {formulation}: {name} has order {found[name]:.2f}, expected {ORDERS[scheme]}"
+        for (scheme, formulation), levels in errors(records).items()
         for found in [orders(levels)]
         for name in QUANTITIES
-        if not abs(found[name] - ORDER) < 0.15
-    ]
+        if not abs(found[name] - ORDERS[scheme]) < 0.15
+    ] + [f"{r['scheme']}, {r['steps']} steps: {r['failure']}" for r in records if r["failure"]]
 
 
 def draw(records: Sequence[Record], figure: Figure) -> None:
-    """Errors over the step."""
-    figure.set_size_inches(5.0, 4.0)
-    plot = figure.subplots()
-    for levels, style in zip(_by_formulation(records).values(), ("o-", "x--"), strict=False):
+    """Errors over the step, a plot a scheme."""
+    series = errors(records)
+    schemes = list(dict.fromkeys(scheme for scheme, _ in series))
+    figure.set_size_inches(5.0 * len(schemes), 4.0)
+    plots = figure.subplots(1, len(schemes), squeeze=False, sharey=True)[0]
+    for (scheme, formulation), levels in series.items():
+        plot = plots[schemes.index(scheme)]
+        style = "o-" if formulation == "symmetric" else "x--"
         for k, name in enumerate(QUANTITIES):
-            label = f"{name}, {levels[0]['formulation']}"
             values = [r[name] for r in levels]
+            label = f"{name}, {formulation}"
             plot.loglog([r["h"] for r in levels], values, style, color=f"C{k}", label=label)
-    plot.set(xlabel="h [s]", ylabel="relative error", title="backward Euler")
-    plot.legend(fontsize=7)
+        plot.set(xlabel="h [s]", title=f"{scheme}, order {ORDERS[scheme]} expected")
+        plot.grid(alpha=0.3)
+        plot.legend(fontsize=7)
+    plots[0].set_ylabel("relative error")
 
 
 TIMESTEP = Study(
     name="timestep",
-    description="order of the time scheme in h, for displacement, velocity and energy",
+    description="order of each time scheme in h, for displacement, velocity and energy",
     grid=grid,
     compute=compute,
     table=table,

@@ -1,0 +1,276 @@
+"""`mixed-fem study equivalence`: where the formulations have the displacement method's solutions.
+
+With P1 displacements and fields that are constant on each cell, S = S(F) can be met on each cell,
+and eliminating S and its multiplier leaves the displacement method. So positions must agree to
+rounding error: on every scene, mesh and step, whatever the formulation. Two cases in which they do
+not, on a plate whose middle vertex is pushed aside:
+
+- inverted: pushed so far that triangles turn over. `hu-washizu` and `log-strain` know F by FᵀF
+  alone, which does not see the sign of det F; theirs is another energy there.
+- compliant: -|Y|²/(2 κ) added to the energy of `symmetric`, as a regularisation. S = S(F) is then
+  missed by Y/κ, as if a spring of stiffness κ stood in series, and positions by order μ/κ.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem, mesh
+
+from demos import scene as scenes
+from demos.simulation import Simulation, build_body
+from demos.studies.study import Parameters, Record, Study
+from forms import FORMULATIONS, StableNeoHookean, deformation_gradient
+from meshes import box
+from solvers import ConvergenceError, MixedProblem
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Array = npt.NDArray[np.float64]
+
+BASELINE = "displacement"
+AGREEMENT = 1e-9
+"""Difference of positions, relative to the size of the body, that counts as rounding error."""
+
+UNSIGNED = ("hu-washizu", "log-strain")
+"""Formulations that do not see the sign of det F."""
+
+PLATE = StableNeoHookean(E=1e5, nu=0.3)
+COMPLIANCES = (1e-2, 1e-3, 1e-4, 1e-5)  # μ / κ
+PUSHES = {"inverted": (0.4, 0.15), "compliant": (0.1, 0.05)}  # of the middle of a plate of 1 m [m]
+PUSH_STEPS = 8
+
+
+def grid(quick: bool) -> list[Parameters]:
+    """Scenes at some refinements, then the plate."""
+    others = [name for name in FORMULATIONS if name != BASELINE]
+    cases: list[Parameters] = [
+        scene_case(name, formulation, refinement, 2 if quick else 0)
+        for name in scenes.built_in()
+        for refinement in ((-1,) if quick else (-1, 0, 1))
+        for formulation in (("symmetric", "seed") if quick else others)
+        # UFL's forms take their time on the finest meshes, and differ from one another there as
+        # on the others.
+        if refinement < 1 or FORMULATIONS[formulation].kernel is not None
+    ]
+    cases += [plate_case("inverted", formulation, 0.0) for formulation in others]
+    return cases + [plate_case("compliant", "symmetric", c) for c in COMPLIANCES]
+
+
+def scene_case(name: str, formulation: str, refinement: int, steps: int) -> Parameters:
+    """The parameters of a scene with 2^refinement as many cells along each edge of its box.
+
+    All of its steps if `steps` is 0.
+    """
+    return {
+        **{"kind": "scene", "scene": name, "formulation": formulation},
+        **{"refinement": refinement, "steps": steps},
+    }
+
+
+def plate_case(kind: str, formulation: str, compliance: float) -> Parameters:
+    """The parameters of a case of the plate."""
+    return {"kind": kind, "formulation": formulation, "compliance": compliance}
+
+
+def compute(comm: MPI.Comm, parameters: Parameters) -> Record:
+    """Solve with the formulation and with the displacement alone, and compare. Collective."""
+    if parameters["kind"] == "scene":
+        return _on_a_scene(comm, parameters)
+    return _on_a_plate(comm, parameters)
+
+
+def _on_a_scene(comm: MPI.Comm, parameters: Parameters) -> Record:
+    name, refinement = parameters["scene"], parameters["refinement"]
+    scene = scenes.load(comm, name, scenes.Overrides(steps=parameters["steps"] or None))
+    if scene.mesh.file is None:  # a mesh from a file is as it is
+        cells = tuple(max(1, round(n * 2.0**refinement)) for n in scene.mesh.cells)
+        scene = dataclasses.replace(scene, mesh=dataclasses.replace(scene.mesh, cells=cells))
+    body = build_body(scene, comm)
+    runs = [Simulation(scene, body, form) for form in (parameters["formulation"], BASELINE)]
+    marches = [run.march(scene.steps) for run in runs]
+    size = float(np.max(comm.allreduce(body.mesh.geometry.x.max(initial=0.0), op=MPI.MAX)))
+    differences, iterations = [], []
+    failure = ""
+    for _ in range(scene.steps):
+        try:
+            iterations.append([next(march).iterations for march in marches])
+        except ConvergenceError as error:
+            failure = error.result.reason
+            break
+        differences.append(_difference(comm, *(run.fields[0] for run in runs)) / size)
+    return {
+        "cells": body.num_cells,
+        "failure": failure,
+        "difference": max(differences, default=float("nan")),
+        "differences": differences,
+        "iterations": iterations,
+    }
+
+
+def _difference(comm: MPI.Comm, u: fem.Function[Any], v: fem.Function[Any]) -> float:
+    largest = np.abs(u.x.array - v.x.array).max(initial=0.0)
+    return float(comm.allreduce(largest, op=MPI.MAX))
+
+
+def _on_a_plate(comm: MPI.Comm, parameters: Parameters) -> Record:
+    msh = box(comm, (1.0, 1.0), (4, 4)).mesh
+    baseline = _Plate(msh, BASELINE)
+    plate = _Plate(msh, parameters["formulation"], parameters["compliance"] / PLATE.mu)
+    push = np.array(PUSHES[parameters["kind"]])
+    u, v = plate.fields[0], baseline.fields[0]
+    try:
+        for k in range(1, PUSH_STEPS + 1):
+            baseline.solve(push * k / PUSH_STEPS)
+        # Beyond det F = 0, which √(FᵀF) does not get across.
+        u.x.array[:] = v.x.array
+        plate.solve(push)
+    except ConvergenceError as error:
+        return {"failure": error.result.reason, "difference": float("nan")}
+    return {"failure": "", "difference": _difference(comm, u, v), "inverted": plate.inverted()}
+
+
+class _Plate:
+    """A square of 1 m with its edges held and its middle pushed aside."""
+
+    def __init__(self, msh: mesh.Mesh, formulation: str, compliance: float = 0.0) -> None:
+        """Build it at rest, with a compliance [1/Pa] in series for `symmetric`."""
+        form = FORMULATIONS[formulation]
+        self.fields = form.fields(msh)
+        V = self.fields[0].function_space
+        density = form.density(*self.fields, PLATE)
+        if compliance:
+            _, _, Y = self.fields
+            density -= fem.Constant(msh, compliance) / 2 * ufl.inner(Y, Y)
+        dofs = fem.locate_dofs_geometrical(
+            V, lambda X: np.isclose(np.abs(X[:2] - 0.5), 0.5).any(axis=0) | _middle(X)
+        )
+        self._held = fem.Function(V)
+        bc = fem.dirichletbc(self._held, dofs)
+        self._problem = MixedProblem(density * ufl.dx, self.fields, [bc])
+
+    def solve(self, push: Array) -> None:
+        """Put the middle vertex `push` [m] from where it was at rest. Collective."""
+        self._held.interpolate(lambda X: push[:, None] * _middle(X))
+        self._problem.solve()
+
+    def inverted(self) -> int:
+        """Number of cells with det F < 0. Collective."""
+        u = self.fields[0]
+        msh = u.function_space.mesh
+        cells = np.arange(msh.topology.index_map(2).size_local, dtype=np.int32)
+        J = fem.Expression(ufl.det(deformation_gradient(u)), np.full((1, 2), 1 / 3))
+        return int(msh.comm.allreduce(int(np.sum(J.eval(msh, cells) < 0.0))))
+
+
+def _middle(X: Array) -> npt.NDArray[np.bool_]:
+    return np.asarray(np.isclose(X[:2], 0.5).all(axis=0))
+
+
+# What to show
+
+
+def _of_kind(records: Sequence[Record], kind: str) -> list[Record]:
+    return [r for r in records if r["kind"] == kind]
+
+
+def table(records: Sequence[Record]) -> list[str]:
+    """Largest differences of a position, relative to the size of the body."""
+    lines = [
+        "",
+        "Largest difference of a position from the displacement method's, over the body's size",
+        "",
+        f"{'scene':<16} {'cells':>6} {'formulation':<16} {'steps':>5} {'difference':>10}  Newton",
+    ]
+    for r in _of_kind(records, "scene"):
+        newton = [sum(column) for column in zip(*r["iterations"], strict=True)] or [0, 0]
+        lines.append(
+            f"{r['scene']:<16} {r['cells']:>6} {r['formulation']:<16} "
+            f"{len(r['differences']):>5} {r['difference']:>10.1e}  {newton[0]} / {newton[1]} "
+            f"{r['failure']}"
+        )
+    lines += ["", "plate with inverted cells:"]
+    for r in _of_kind(records, "inverted"):
+        shown = r["failure"] or f"{r['difference']:.1e}, {r['inverted']} inverted"
+        lines.append(f"{r['formulation']:<16} {shown}")
+    rows = _of_kind(records, "compliant")
+    lines += ["", "plate with a compliance in series (-|Y|²/(2 κ)):"]
+    lines += [f"μ/κ = {r['compliance']:.0e}   {r['failure'] or r['difference']:.3e}" for r in rows]
+    if len(rows) > 1:
+        lines.append(f"order in μ/κ: {order_of_compliance(rows):.2f}")
+    return lines
+
+
+def order_of_compliance(rows: Sequence[Record]) -> float:
+    """The power of μ/κ that the differences follow."""
+    compliances, differences = (np.log([r[k] for r in rows]) for k in ("compliance", "difference"))
+    return float(np.polyfit(compliances, differences, 1)[0])
+
+
+def verdict(records: Sequence[Record]) -> list[str]:
+    """Differences where there should be none, and the other way round."""
+    lines = []
+    for r in records:
+        name = f"{r.get('scene', r['kind'])}, {r['formulation']}"
+        if r["failure"]:
+            lines.append(f"{name}: {r['failure']}")
+            continue
+        differs = r["kind"] == "compliant" or (
+            r["kind"] == "inverted" and r["formulation"] in UNSIGNED
+        )
+        if differs != (r["difference"] > AGREEMENT):
+            side = "more" if differs else "less"
+            lines.append(f"{name}: differs by {r['difference']:.1e}, expected {side} than 1e-9")
+    rows = [r for r in _of_kind(records, "compliant") if not r["failure"]]
+    if len(rows) > 1 and not abs(order_of_compliance(rows) - 1) < 0.05:
+        lines.append(f"compliant: order {order_of_compliance(rows):.2f} in μ/κ, expected 1")
+    return lines
+
+
+def draw(records: Sequence[Record], figure: Figure) -> None:
+    """Differences by step on the scenes, and on the plate."""
+    figure.set_size_inches(11.0, 3.8)
+    left, middle, right = figure.subplots(1, 3, width_ratios=(5, 4, 3))
+    names = list(FORMULATIONS)
+    for r in _of_kind(records, "scene"):
+        # An exact agreement has no logarithm.
+        values = np.maximum(r["differences"], 1e-17)
+        color = f"C{names.index(r['formulation'])}"
+        left.semilogy(range(1, len(values) + 1), values, "o-", ms=3, lw=0.7, color=color)
+    for name in dict.fromkeys(r["formulation"] for r in _of_kind(records, "scene")):
+        left.plot([], [], "o-", ms=3, color=f"C{names.index(name)}", label=name)
+    left.set(xlabel="step", ylabel="difference / size of the body", title="scenes, all meshes")
+    left.set_ylim(1e-17, 1.0)
+    left.axhline(AGREEMENT, color="k", lw=0.7, ls=":")
+    left.legend(fontsize=7)
+    rows = [r for r in _of_kind(records, "inverted") if not r["failure"]]
+    labels = [r["formulation"] for r in rows]
+    colors = [f"C{names.index(name)}" for name in labels]
+    middle.barh(labels, [max(r["difference"], 1e-17) for r in rows], left=1e-17, color=colors)
+    middle.set_xscale("log")
+    middle.set_xlim(1e-17, 1.0)
+    middle.axvline(AGREEMENT, color="k", lw=0.7, ls=":")
+    middle.set(xlabel="difference / size of the body", title="inverted cells")
+    rows = [r for r in _of_kind(records, "compliant") if not r["failure"]]
+    right.loglog([r["compliance"] for r in rows], [r["difference"] for r in rows], "ko-", ms=4)
+    right.set(xlabel="μ / κ", title="compliance in series")
+    right.grid(alpha=0.3)
+
+
+EQUIVALENCE = Study(
+    name="equivalence",
+    description="positions against the displacement method's, on every scene; where they differ",
+    grid=grid,
+    compute=compute,
+    table=table,
+    draw=draw,
+    verdict=verdict,
+)

@@ -1,0 +1,218 @@
+"""`mixed-fem study locking`: tip displacements against the mesh size as ν comes near 1/2.
+
+Cook's membrane under a load so small that it is linear, against Taylor and Hood's elements on a
+fine mesh, which in turn meet the published values (`demos.studies.cook`); and a cantilever of
+L / t = 20 bent by P L²/(E' I) = 2 in two steps, against the elastica (`demos.studies.beams`), with
+E' = E/(1 - ν²) in plane strain. Whatever the formulation, P1 displacements with a strain that is
+constant on each cell lock: cells that cannot change their volume can hardly deform.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from mpi4py import MPI
+
+from demos.studies import cook
+from demos.studies.beams import cantilever, elastica
+from demos.studies.study import Parameters, Record, Study
+from forms import FixedCorotational
+from meshes import box
+from solvers import ConvergenceError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+RATIOS = (0.3, 0.45, 0.49, 0.499, 0.4999)
+METHODS = (("symmetric", "triangle", 1), ("displacement", "triangle", 1))
+"""Formulation, cell and degree of the displacement."""
+
+FORCE = 1e-4  # of Cook's membrane, by E: tips move by some 1e-3 of 48
+SLENDERNESS, LOADS = 20, (1.0, 2.0)  # of the beam
+LEVELS = {"cook": (2, 4, 8, 16, 32, 64), "beam": (1, 2, 4, 8, 16)}
+"""Cells along an edge of the membrane, and across the beam."""
+
+QUICK_LEVELS = {"cook": (4, 8, 16, 32), "beam": (1, 2, 4)}
+CURED: tuple[tuple[str, str, int], ...] = ()
+"""Methods that ought not to lock, and how near to the reference their finest tips are."""
+CURED_WITHIN = 0.05
+
+PUBLISHED_WITHIN = 2e-3
+"""Deviation of the reference of Cook's membrane from published values."""
+
+UNITS = {"cook": "cells along an edge", "beam": "cells across"}
+TITLES = {"cook": "Cook's membrane", "beam": "bent beam, P L²/(E' I) = 2"}
+
+
+def grid(quick: bool) -> list[Parameters]:
+    """Bodies, methods, ratios and meshes."""
+    ratios = (0.3, 0.49, 0.4999) if quick else RATIOS
+    published = [{"body": "published", "nu": nu} for nu in cook.PUBLISHED]
+    return published + [
+        case(body, method, nu, n)
+        for body, levels in (QUICK_LEVELS if quick else LEVELS).items()
+        for method in METHODS
+        for nu in ratios
+        for n in levels
+    ]
+
+
+def case(body: str, method: tuple[str, str, int], nu: float, n: int) -> Parameters:
+    """The parameters of a case."""
+    formulation, cell, degree = method
+    return {
+        **{"body": body, "formulation": formulation, "cell": cell, "degree": degree},
+        **{"nu": nu, "cells": n},
+    }
+
+
+def compute(comm: MPI.Comm, parameters: Parameters) -> Record:
+    """Load the body, and measure how its tip has moved. Collective."""
+    measure = {"published": _published, "cook": _cook, "beam": _beam}[parameters["body"]]
+    return measure(comm, parameters)
+
+
+def _published(comm: MPI.Comm, parameters: Parameters) -> Record:
+    """The reference of Cook's membrane itself against a published value."""
+    point, value = cook.PUBLISHED[parameters["nu"]]
+    found = cook.reference(comm, parameters["nu"], point)
+    return {"failure": "", "tip": found, "reference": value, "ratio": found / value}
+
+
+def _cook(comm: MPI.Comm, parameters: Parameters) -> Record:
+    msh = cook.membrane(comm, parameters["cells"])
+    body = cantilever(msh, parameters["formulation"], FixedCorotational(1.0, parameters["nu"]))
+    body.traction.value[1] = FORCE / cook.HEIGHT
+    try:
+        iterations = body.problem.solve().iterations
+    except ConvergenceError as error:
+        return {"failure": error.result.reason}
+    tip = cook.value_at(body.fields[0], cook.MIDDLE)[1] / FORCE
+    return _record(iterations, tip, cook.reference(comm, parameters["nu"]))
+
+
+def _beam(comm: MPI.Comm, parameters: Parameters) -> Record:
+    t, nu, n = 1 / SLENDERNESS, parameters["nu"], parameters["cells"]
+    msh = box(comm, (1.0, t), (n * SLENDERNESS, n)).mesh
+    psi = FixedCorotational(12 / t**3 * (1 - nu**2), nu)  # E' I = 1
+    body = cantilever(msh, parameters["formulation"], psi)
+    iterations = 0
+    for load in LOADS:
+        body.traction.value[1] = load / t
+        try:
+            iterations += body.problem.solve().iterations
+        except ConvergenceError as error:
+            return {"failure": error.result.reason}
+    return _record(iterations, body.mean_tip()[1], elastica(LOADS[-1])[1])
+
+
+def _record(iterations: int, tip: float, reference: float) -> Record:
+    return {
+        "failure": "",
+        "iterations": iterations,
+        "tip": tip,
+        "reference": reference,
+        "ratio": tip / reference,
+    }
+
+
+# What to show
+
+Method = tuple[str, str, int]
+
+
+def _series(records: Sequence[Record]) -> dict[tuple[str, Method, float], list[Record]]:
+    """Records of growing fineness by body, method and ratio."""
+    series: dict[tuple[str, Method, float], list[Record]] = {}
+    for r in records:
+        if r["body"] == "published":
+            continue
+        method = r["formulation"], r["cell"], r["degree"]
+        series.setdefault((r["body"], method, r["nu"]), []).append(r)
+    return series
+
+
+def _published_of(records: Sequence[Record]) -> list[Record]:
+    return [r for r in records if r["body"] == "published"]
+
+
+def _name(method: Method) -> str:
+    formulation, cell, degree = method
+    return f"{formulation}, {cell}, degree {degree}"
+
+
+def table(records: Sequence[Record]) -> list[str]:
+    """Tip displacements over the reference; a row a method and ratio, a column a mesh."""
+    lines = ["", "Reference of Cook's membrane, E w / F, against published values:", ""]
+    for r in _published_of(records):
+        tips = f"{r['tip']:.3f}  {r['reference']:.3f}"
+        lines.append(f"  ν = {r['nu']:<9.6g}  {tips}  ({r['ratio'] - 1:+.1e})")
+    for body in dict.fromkeys(name for name, _, _ in _series(records)):
+        levels = sorted({r["cells"] for r in records if r["body"] == body})
+        head = "".join(f"{n:>8}" for n in levels)
+        lines += ["", f"{TITLES[body]}, tip over reference, by cells:", ""]
+        lines.append(f"{'method':<36} {'ν':>7} {head}")
+        for (name, method, nu), rows in _series(records).items():
+            if name == body:
+                shown = {r["cells"]: "fails" if r["failure"] else f"{r['ratio']:.4f}" for r in rows}
+                cells = "".join(f"{shown.get(n, ''):>8}" for n in levels)
+                lines.append(f"{_name(method):<36} {nu:>7g} {cells}")
+    return lines
+
+
+def verdict(records: Sequence[Record]) -> list[str]:
+    """A reference that is not what is published, mixed methods that fail, and cures that do not."""
+    lines = [
+        f"reference of Cook's membrane, ν = {r['nu']:g}: {r['ratio']:.4f} of what is published"
+        for r in _published_of(records)
+        if not abs(r["ratio"] - 1) < PUBLISHED_WITHIN
+    ]
+    for (body, method, nu), rows in _series(records).items():
+        name = f"{TITLES[body]}, {_name(method)}, ν = {nu:g}"
+        failed = [r for r in rows if r["failure"]]
+        if method[0] != "displacement":
+            lines += [f"{name}, {r['cells']} cells: {r['failure']}" for r in failed]
+        if method in CURED and not failed and not abs(rows[-1]["ratio"] - 1) < CURED_WITHIN:
+            lines.append(f"{name}: the finest tip is {rows[-1]['ratio']:.4f} of the reference")
+    return lines
+
+
+def draw(records: Sequence[Record], figure: Figure) -> None:
+    """Tips over the mesh: a row a body, a column a method, a line a Poisson's ratio."""
+    series = _series(records)
+    bodies = list(dict.fromkeys(body for body, _, _ in series))
+    methods = list(dict.fromkeys(method for _, method, _ in series))
+    ratios = sorted({nu for _, _, nu in series})
+    figure.set_size_inches(1.2 + 2.4 * len(methods), 2.8 * len(bodies))
+    plots = figure.subplots(len(bodies), len(methods), squeeze=False, sharex="row", sharey=True)
+    for (body, method, nu), rows in series.items():
+        plot = plots[bodies.index(body), methods.index(method)]
+        done = [r for r in rows if not r["failure"]]
+        color = f"C{ratios.index(nu)}"
+        values = [r["ratio"] for r in done]
+        plot.semilogx(
+            [r["cells"] for r in done], values, "o-", ms=3, color=color, label=f"ν = {nu:g}"
+        )
+    for row, body in zip(plots, bodies, strict=True):
+        row[0].set_ylabel(f"{TITLES[body]}\ntip / reference", fontsize=8)
+        levels = sorted({r["cells"] for r in records if r["body"] == body})
+        for plot, method in zip(row, methods, strict=True):
+            plot.axhline(1.0, color="k", lw=0.7, ls=":")
+            plot.set_xticks(levels, [str(n) for n in levels])
+            plot.minorticks_off()
+            plot.grid(alpha=0.3)
+            plot.set_title(_name(method), fontsize=8)
+            plot.set_xlabel(UNITS[body], fontsize=8)
+    plots[-1, -1].legend(fontsize=7)
+
+
+LOCKING = Study(
+    name="locking",
+    description="Cook's membrane and a bent beam against the mesh size as ν comes near 1/2",
+    grid=grid,
+    compute=compute,
+    table=table,
+    draw=draw,
+    verdict=verdict,
+)
