@@ -6,8 +6,10 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
+import pytest
 from dolfinx import fem, mesh
 
+from demos.studies import Record, Study
 from forms.discrete import MATERIALS as WITNESSED
 from solvers import MixedProblem
 
@@ -103,3 +105,13 @@ def dense(A: PETSc.Mat) -> np.ndarray:
     rows = np.zeros((last - first, A.size[1]))
     rows[np.repeat(np.arange(last - first), np.diff(indptr)), columns] = values
     return np.vstack(A.comm.tompi4py().allgather(rows))
+
+
+def show(study: Study, records: list[Record]) -> None:
+    """Make the table of a study, and its figure where there is matplotlib; rank 0 as in a run."""
+    matplotlib = pytest.importorskip("matplotlib.figure")
+    if MPI.COMM_WORLD.rank == 0:
+        assert len(study.table(records)) > len(records) // 2
+        figure = matplotlib.Figure(layout="constrained")
+        study.draw(records, figure)
+        figure.draw_without_rendering()

@@ -240,16 +240,19 @@ def draw(records: Sequence[Record], figure: Figure) -> None:
     figure.set_size_inches(11.0, 3.8)
     left, middle, right = figure.subplots(1, 3, width_ratios=(5, 4, 3))
     names = list(FORMULATIONS)
+    labelled = set()
     for r in _of_kind(records, "scene"):
+        name = r["formulation"]
         # An exact agreement has no logarithm.
         values = np.maximum(r["differences"], 1e-17)
-        color = f"C{names.index(r['formulation'])}"
-        left.semilogy(range(1, len(values) + 1), values, "o-", ms=3, lw=0.7, color=color)
-    for name in dict.fromkeys(r["formulation"] for r in _of_kind(records, "scene")):
-        left.plot([], [], "o-", ms=3, color=f"C{names.index(name)}", label=name)
+        style = {"ms": 3, "lw": 0.7, "color": f"C{names.index(name)}"}
+        label = "" if name in labelled else name
+        left.semilogy(range(1, len(values) + 1), values, "o-", label=label, **style)
+        labelled.add(name)
     left.set(xlabel="step", ylabel="difference / size of the body", title="scenes, all meshes")
+    left.xaxis.get_major_locator().set_params(integer=True)
     left.set_ylim(1e-17, 1.0)
-    left.axhline(AGREEMENT, color="k", lw=0.7, ls=":")
+    left.axhline(AGREEMENT, color="k", lw=0.7, ls=":", label="what counts as equal")
     left.legend(fontsize=7)
     rows = [r for r in _of_kind(records, "inverted") if not r["failure"]]
     labels = [r["formulation"] for r in rows]

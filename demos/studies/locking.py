@@ -204,7 +204,8 @@ def draw(records: Sequence[Record], figure: Figure) -> None:
             plot.grid(alpha=0.3)
             plot.set_title(_name(method), fontsize=8)
             plot.set_xlabel(UNITS[body], fontsize=8)
-    plots[-1, -1].legend(fontsize=7)
+    plots[0, 0].set_ylim(0.0, 1.1)
+    plots[0, 0].legend(fontsize=7)
 
 
 LOCKING = Study(

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-E, H = 1e6, 0.3  # [Pa], [s]
+E, H = 1e5, 0.3  # [Pa], [s]
 ROUND_OFF = 1e-13  # of the first residual
 
 
@@ -34,9 +34,12 @@ def grid(quick: bool) -> list[Parameters]:
     return [*cases, case("displacement", n, projected=True)]
 
 
-def case(formulation: str, n: int, *, projected: bool) -> Parameters:
+def case(formulation: str, n: int, *, projected: bool, dimension: int = 3) -> Parameters:
     """The parameters of a case with n cells across the bar."""
-    return {"formulation": formulation, "projected": projected, "cells": n}
+    return {
+        **{"formulation": formulation, "projected": projected},
+        **{"cells": n, "dimension": dimension},
+    }
 
 
 def compute(comm: MPI.Comm, parameters: Parameters) -> Record:
@@ -45,6 +48,7 @@ def compute(comm: MPI.Comm, parameters: Parameters) -> Record:
         comm,
         parameters["formulation"],
         n=parameters["cells"],
+        dimension=parameters["dimension"],
         E=E,
         h=H,
         compiled=parameters["projected"],

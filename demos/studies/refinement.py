@@ -244,25 +244,29 @@ def verdict(records: Sequence[Record]) -> list[str]:
 
 
 def draw(records: Sequence[Record], figure: Figure) -> None:
-    """Errors over the mesh size, 2D and 3D, static and dynamic."""
-    figure.set_size_inches(9.0, 4.0)
-    plots = dict(zip((2, 3), figure.subplots(1, 2), strict=True))
-    for (formulation, d, motion, solver), levels in _series(records).items():
-        if (formulation, solver) != ("symmetric", "condensed"):
-            continue
-        h = np.array([1.0 / r["cells"] for r in levels])
+    """Errors of the first formulation over the mesh size, 2D and 3D, static and dynamic."""
+    shown = {
+        key: levels
+        for key, levels in _series(records).items()
+        if (key[0], key[3]) == (records[0]["formulation"], records[0]["solver"])
+    }
+    dimensions = sorted({d for _, d, _, _ in shown})
+    figure.set_size_inches(4.5 * len(dimensions), 4.0)
+    plots = figure.subplots(1, len(dimensions), squeeze=False)[0]
+    for (formulation, d, motion, _), levels in shown.items():
+        plot = plots[dimensions.index(d)]
+        done = [r for r in levels if not r["failure"]]
+        h = np.array([1.0 / r["cells"] for r in done])
         style = "o-" if motion == "static" else "s--"
         for k, (name, order) in enumerate(ORDERS.items()):
-            values = [r[name] for r in levels]
+            values = [r[name] for r in done]
             label = f"{TITLES[name]}, {motion}"
-            plots[d].loglog(h, values, style, ms=4, color=f"C{k}", label=label)
-            if motion == "static":
-                plots[d].loglog(h, 0.7 * values[-1] * (h / h[-1]) ** order, "k:", lw=0.7)
-    for d, plot in plots.items():
-        plot.set(xlabel="mesh size [m]", title=f"{d}D, symmetric; dotted: orders expected")
+            plot.loglog(h, values, style, ms=4, color=f"C{k}", label=label)
+            plot.loglog(h, 0.7 * values[-1] * (h / h[-1]) ** order, "k:", lw=0.7)
+        plot.set(xlabel="mesh size [m]", title=f"{d}D, {formulation}; dotted: orders expected")
         plot.grid(alpha=0.3)
         plot.legend(fontsize=7)
-    plots[2].set_ylabel("error")
+    plots[0].set_ylabel("error")
 
 
 REFINEMENT = Study(

@@ -112,7 +112,7 @@ def table(records: Sequence[Record]) -> list[str]:
                 for r in rows
                 if r[axis] == value
             }
-            lines.append(f"{value:>16.0e}    " + "".join(f"{cells[h]:>16}" for h in steps))
+            lines.append(f"{value:>16.0e}    " + "".join(f"{cells.get(h, ''):>16}" for h in steps))
     mixed = sum(r["mixed"] is None for r in records)
     others = sum(classical(r) is None for r in records)
     searches = sum(r["mixed_searches"] > 0 for r in records)
