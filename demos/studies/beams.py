@@ -14,7 +14,7 @@ from scipy.optimize import brentq
 from scipy.special import ellipe, ellipeinc, ellipk, ellipkinc
 
 from demos.scene import SCHEMES
-from forms import FORMULATIONS, Formulation
+from forms import FORMULATIONS, Formulation, measure
 from forms.materials import StrainEnergy
 from solvers import MixedProblem
 
@@ -113,6 +113,7 @@ def cantilever(
     formulation: str,
     psi: StrainEnergy,
     *,
+    degree: int = 1,
     rho: float = 0.0,
     h: float = 0.0,
     options: Mapping[str, Any] | None = None,
@@ -123,12 +124,13 @@ def cantilever(
         msh: A plane mesh from X₁ = 0.
         formulation: A name in `forms.FORMULATIONS`.
         psi: Strain energy density, in plane strain.
+        degree: Of the displacement.
         rho: Density [kg/m³]; statics by default.
         h: Time step [s], with a density.
         options: PETSc options.
     """
     form: Formulation = FORMULATIONS[formulation]
-    fields = form.fields(msh)
+    fields = form.fields(msh, degree)
     u = fields[0]
     V = u.function_space
     length = msh.comm.allreduce(msh.geometry.x[:, 0].max(initial=0.0), op=max)
@@ -136,7 +138,7 @@ def cantilever(
     tags = mesh.meshtags(msh, 1, np.sort(facets), np.ones(len(facets), dtype=np.int32))
     ds = ufl.Measure("ds", domain=msh, subdomain_data=tags)(1)
     traction = fem.Constant(msh, np.zeros(2))
-    energy = form.density(*fields, psi) * ufl.dx
+    energy = form.density(*fields, psi) * measure(u)
     scheme = None
     if rho:
         scheme = SCHEMES["backward-euler"](u, h)

@@ -40,9 +40,9 @@ PUBLISHED = {
 """Point and E w / F by ν, in plane strain."""
 
 
-def membrane(comm: MPI.Comm, n: int) -> mesh.Mesh:
-    """The panel cut into n × n quadrilaterals of two triangles each. Collective."""
-    msh = box(comm, (1.0, 1.0), (n, n)).mesh
+def membrane(comm: MPI.Comm, n: int, cell: str = "triangle") -> mesh.Mesh:
+    """The panel cut into n × n quadrilaterals, or each of these into two triangles. Collective."""
+    msh = box(comm, (1.0, 1.0), (n, n), cell).mesh
     s, t = msh.geometry.x[:, 0].copy(), msh.geometry.x[:, 1].copy()
     msh.geometry.x[:, 0] = 48.0 * s
     msh.geometry.x[:, 1] = 44.0 * s + t * (44.0 - 28.0 * s)
