@@ -142,13 +142,14 @@ class Elimination:
         uu = np.zeros((len(B), B.shape[2], B.shape[2]))
         for group in self.groups:
             rest = tuple(f for f in fields if f not in group)
-            g, r = self.places(group, fields), self.places(rest, fields)
-            inverse = _inverse(D[:, g[:, None], g])
+            g, r = (_views(self.places(part, fields)) for part in (group, rest))
+            D_g, D_r, B_g = D[:, g], D[:, r], B[:, g]
+            inverse = _inverse(D_g[:, :, g])
             yield Reduced(fields, group, D, B, uu, inverse)
-            B_g, D_rg = B[:, g], D[:, r[:, None], g]
-            from_u, from_r = inverse @ B_g, inverse @ D[:, g[:, None], r]
-            uu = uu - B_g.transpose(0, 2, 1) @ from_u
-            D, B = D[:, r[:, None], r] - D_rg @ from_r, B[:, r] - D_rg @ from_u
+            D_rg = D_r[:, :, g]
+            from_u, from_r = inverse @ B_g, inverse @ D_g[:, :, r]
+            uu -= B_g.transpose(0, 2, 1) @ from_u  # what was yielded has been used
+            D, B = D_r[:, :, r] - D_rg @ from_r, B[:, r] - D_rg @ from_u
             fields = rest
         yield Reduced((), (), D, B, uu, D)
 
@@ -352,6 +353,13 @@ class DiagonalBlocks:
                     part = block[:, place(f, reduced.group), place(h, reduced.group)]
                     self._elimination.fill(self._blocks[f, h], f, h, part)
         self.systems[0].assemble()
+
+
+def _views(places: Ints) -> slice | Ints:
+    """An index for places that makes a view, not a copy, if they follow one another."""
+    if len(places) and np.all(np.diff(places) == 1):
+        return slice(int(places[0]), int(places[-1]) + 1)
+    return places
 
 
 def _inverse(blocks: Floats) -> Floats:
