@@ -203,10 +203,13 @@ def mean_dilatation(
         p: Pressure [Pa], positive in tension.
         psi: Strain energy density of S.
     """
-    d = len(u)
-    scaled = (theta / ufl.det(S)) ** (1 / d) * S
     volume = p * (ufl.det(deformation_gradient(u)) - theta)
-    return psi(scaled) - ufl.inner(Y, S - right_stretch(u)) + volume
+    return psi(_dilated(S, theta)) - ufl.inner(Y, S - right_stretch(u)) + volume
+
+
+def _dilated(S: Expr, theta: Expr) -> Expr:
+    """The stretch that `mean_dilatation` gives to Ψ: S with the determinant θ."""
+    return (theta / ufl.det(S)) ** (1 / S.ufl_shape[0]) * S
 
 
 def _hencky_strain(F: Expr) -> Expr:
@@ -302,7 +305,8 @@ class Formulation:
         fields: Function from a mesh and the degree of the displacement, 1 by default, to the
             unknowns at rest, the displacement first.
         density: Function from (*fields, psi) to the energy density [J/m³] without inertia.
-        stretch: Function from the fields to the right stretch S, shape (d, d).
+        stretch: Function from the fields to the right stretch that Ψ is a function of, shape
+            (d, d).
         multiplier: Function from (*fields, psi) to the first Piola-Kirchhoff stress Λ [Pa],
             shape (d, d).
         kernel: Function from (*fields, psi) to a compiled kernel of the density with `psi` a
@@ -388,7 +392,7 @@ FORMULATIONS: dict[str, Formulation] = {
             "symmetric with the change of volume θ and a pressure p as fields: no locking",
             fields=_mean_dilatation_fields,
             density=mean_dilatation,
-            stretch=lambda u, S, Y, theta, p: S,
+            stretch=lambda u, S, Y, theta, p: _dilated(S, theta),
             multiplier=_stress_of_mean_dilatation,
         ),
         Formulation(

@@ -63,7 +63,7 @@ def tensor_function(A: Expr, f: ScalarFunction) -> Expr:
     is not defined at an eigenvalue of A.
 
     Args:
-        A: Symmetric, constant on each cell, shape (d, d).
+        A: Symmetric, shape (d, d).
         f: The function.
     """
     return _SpectralData(A, f).expand(A)
@@ -98,7 +98,7 @@ _EXP = ScalarFunction(np.exp, np.exp, np.exp, radius=np.ones_like)
 
 
 class _SpectralData(CellData):
-    """V, λ and divided differences of orders 0, 1, 2 in one DG0 coefficient."""
+    """V, λ and divided differences of orders 0, 1, 2 in one coefficient."""
 
     def __init__(self, A: Expr, f: ScalarFunction) -> None:
         d = A.ufl_shape[0]

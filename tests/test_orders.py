@@ -80,6 +80,27 @@ def test_positions_are_those_of_the_displacement_method(positions, formulation, 
     check_taylor_orders(body.problems["condensed"], body.energy, E, FORGOTTEN.get(formulation, ()))
 
 
+@pytest.mark.parametrize("element", ["triangles-2", "quadrilaterals-1"])
+def test_mean_dilatation(element):
+    """Taylor orders; the whole system's iterations; at a solution the energy is that of Ψ."""
+    body = make("mean-dilatation", element, solvers=("condensed", "direct"))
+    reference = body.solve("direct")
+    u = body.fields[0].x.array.copy()
+    assert largest(u) > 0.25
+    result = body.solve()
+    assert largest(body.fields[0].x.array - u) < 1e-9
+    assert result.iterations == reference.iterations <= 6
+    dx = measure(body.fields[0])
+    density, elastic = (
+        COMM.allreduce(fem.assemble_scalar(fem.form(e * dx)))
+        for e in (body.form.density(*body.fields, PSI), PSI(body.form.stretch(*body.fields)))
+    )
+    assert density == pytest.approx(elastic, rel=1e-9)
+    body.start()
+    body.move()
+    check_taylor_orders(body.problems["condensed"], body.energy, E)
+
+
 @pytest.mark.parametrize("element", ["triangles-2", "quadrilaterals-1", "hexahedra-1"])
 def test_condensation_takes_the_steps_of_the_whole_system(element):
     """With several points a cell the residuals of the iterations agree, too."""
