@@ -14,7 +14,7 @@ from dolfinx import fem
 from dolfinx.io import XDMFFile
 from dolfinx.mesh import compute_midpoints, entities_to_geometry, locate_entities_boundary, meshtags
 
-from meshes import Body, MeshError, Where, box, read
+from meshes import CELLS, Body, MeshError, Where, box, read
 
 COMM = MPI.COMM_WORLD
 BOX16 = Path(__file__).parents[2] / "shared" / "reference" / "box16.mesh"
@@ -77,16 +77,23 @@ def in_file_order(body: Body) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return exact, np.sort(cells[np.argsort(cell)]), tags[np.argsort(cell)]
 
 
-@pytest.mark.parametrize("cells", [(3, 2), (3, 2, 4)])
-def test_box_lists_its_vertices_and_cells_x_first(cells):
+@pytest.mark.parametrize(
+    ("cells", "cell", "per_cell"),
+    [
+        ((3, 2), "triangle", 2),
+        ((3, 2), "quadrilateral", 1),
+        ((3, 2, 4), None, 6),
+        ((3, 2, 4), "hexahedron", 1),
+    ],
+)
+def test_box_lists_its_vertices_and_cells_x_first(cells, cell, per_cell):
     """The documented order, on any number of ranks."""
     size = (0.3, 2.0, 1.0)[: len(cells)]
-    points, simplices, _ = in_file_order(box(COMM, size, cells))
+    points, parts, _ = in_file_order(box(COMM, size, cells, cell))
     grid = [np.linspace(0, s, n + 1) for s, n in zip(size, cells, strict=True)]
     expected = [position[::-1] for position in product(*grid[::-1])]
     np.testing.assert_allclose(points, expected, atol=1e-14)
-    per_cell = {2: 2, 3: 6}[len(cells)]
-    centres = points[simplices].mean(axis=1).reshape(-1, per_cell, len(cells)).mean(axis=1)
+    centres = points[parts].mean(axis=1).reshape(-1, per_cell, len(cells)).mean(axis=1)
     middles = [0.5 * (g[1:] + g[:-1]) for g in grid]
     np.testing.assert_allclose(
         centres, [position[::-1] for position in product(*middles[::-1])], atol=1e-14
@@ -346,6 +353,20 @@ def test_clauses_that_say_nothing(clause, message):
         Where.parse(clause)
 
 
+@pytest.mark.parametrize("degree", [1, 2, 3])
+@pytest.mark.parametrize("cell", ["triangle", "quadrilateral", "tetrahedron", "hexahedron"])
+def test_dofs_on_a_side_are_those_of_its_facets(cell, degree):
+    """Whatever the degree, also of those whose cells no rank but another owns."""
+    d = 2 if cell in CELLS[2] else 3
+    body = box(COMM, (2.0, 1.0, 1.0)[:d], (3, 2, 1)[:d], cell)
+    V = fem.functionspace(body.mesh, ("Lagrange", degree, (d,)))
+    found = body.dofs(V, Where.parse({"x": "max"}))
+    expected = fem.locate_dofs_geometrical(V, lambda X: X[0] > 2.0 - 1e-9)
+    np.testing.assert_array_equal(found, np.sort(expected))
+    owned = int((found < V.dofmap.index_map.size_local).sum())
+    assert COMM.allreduce(owned) == (2 * degree + 1) * (degree + 1 if d == 3 else 1)
+
+
 def test_only_linear_spaces_have_vertex_blocks():
     """Asking for the vertices of another space is an error, not a wrong answer."""
     body = box(COMM, (1.0, 1.0), (2, 2))
@@ -447,6 +468,11 @@ def test_boxes_that_are_refused(size, cells, message):
     """Sizes and counts are checked before DOLFINx sees them."""
     with pytest.raises(MeshError, match=message):
         box(COMM, size, cells)
+
+
+def test_kinds_of_cells_that_are_refused():
+    with pytest.raises(MeshError, match="must be triangle or quadrilateral in 2D, not 'hexahedro"):
+        box(COMM, (1.0, 1.0), (1, 1), "hexahedron")
 
 
 def test_facet_vertices_are_those_of_the_geometry():

@@ -14,14 +14,15 @@ from mpi4py import MPI
 import meshio
 import numpy as np
 import pytest
+from dolfinx import fem
 
 from demos import picture
 from demos.cli import main
-from demos.output import final_state, gather
+from demos.output import final_state, gather, write_surface
 from demos.progress import Screen
 from demos.scene import Scene, parse
 from demos.simulation import Simulation, build_body
-from forms import FORMULATIONS, MATERIALS
+from forms import FORMULATIONS, MATERIALS, deformation_gradient
 
 COMM = MPI.COMM_WORLD
 
@@ -150,6 +151,90 @@ def test_final_state_does_not_depend_on_the_number_of_ranks(strip):
     for key, values in one.items():
         scale = max(np.abs(values).max(), 1e-300)
         np.testing.assert_allclose(many[key] / scale, values / scale, atol=1e-12, err_msg=key)
+
+
+# Other elements
+
+BOX = STRIP.replace(
+    'file = "strip.mesh"', 'box = { size = [2.0, 1.0], cells = [4, 2], cell = "quadrilateral" }'
+)
+
+
+def elements(cell: str, degree: int) -> Scene:
+    """The strip as a box of other elements; in 3D of one metre, and two cells, across."""
+    text = BOX.replace("quadrilateral", cell) + f"degree = {degree}\n"
+    if cell == "hexahedron":
+        text = text.replace("1.0], cells = [4, 2]", "1.0, 1.0], cells = [2, 1, 2]")
+        text = text.replace("-9.81]", "-9.81, 0.0]")
+    return parse(text, Path("box.toml"))
+
+
+@pytest.mark.parametrize(
+    ("cell", "degree"), [("quadrilateral", 1), ("quadrilateral", 2), ("hexahedron", 1)]
+)
+def test_final_state_of_other_elements(cell, degree):
+    """Positions of vertices are dofs; S is the mean over Gauss's points, found by other means."""
+    given = elements(cell, degree)
+    simulation = Simulation(given, build_body(given, COMM), "symmetric")
+    list(simulation.march(given.steps))
+    state, body, u = final_state(simulation), simulation.body, simulation.fields[0]
+    d, V = len(u), u.function_space
+    owned = V.dofmap.index_map.size_local
+    X = np.concatenate(COMM.allgather(V.tabulate_dof_coordinates()[:owned, :d]))
+    x = X + np.concatenate(COMM.allgather(u.x.array.reshape(-1, d)[:owned]))
+    nodes, weights = np.polynomial.legendre.leggauss(degree + 1)
+    points = np.stack(np.meshgrid(*[(1 + nodes) / 2] * d, indexing="ij"), axis=-1).reshape(-1, d)
+    weight = np.prod(np.meshgrid(*[weights / 2] * d, indexing="ij"), axis=0).ravel()
+    cells = np.arange(len(body.file_cells), dtype=np.int32)
+    F = fem.Expression(deformation_gradient(u), points).eval(body.mesh, cells)
+    _, sigma, Vt = np.linalg.svd(F)
+    S = np.einsum("q,kqji,kqj,kqjl->kil", weight, Vt, sigma, Vt)
+    S = np.concatenate(COMM.allgather(S))
+    numbers = np.concatenate(COMM.allgather(body.file_cells))
+    if COMM.rank != 0:
+        return
+    for rest, now in zip(state["X"], state["x"], strict=True):
+        (dof,) = np.flatnonzero(np.abs(X - rest).max(axis=1) < 1e-9)
+        np.testing.assert_allclose(now, x[dof], rtol=0, atol=1e-12)
+    assert np.abs(state["x"] - state["X"]).max() > 0.05
+    np.testing.assert_allclose(state["S"][numbers], S, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize(("cell", "volume"), [("quadrilateral", 0.25), ("hexahedron", 0.5)])
+def test_surfaces_list_vertices_in_the_order_of_vtk(cell, volume, tmp_path):
+    """Around the faces of a cell, all of the same sense."""
+    given = elements(cell, 1)
+    state = final_state(Simulation(given, build_body(given, COMM), "displacement"))
+    if state is None:
+        return
+    write_surface(tmp_path / "body.vtu", state)
+    (block,) = meshio.read(tmp_path / "body.vtu").cells
+    corners = state["X"][block.data]
+    to = corners - corners[:, :1]
+    edges = to[:, [1, 3]] if cell == "quadrilateral" else to[:, [1, 3, 4]]
+    np.testing.assert_allclose(np.linalg.det(edges), volume, rtol=1e-12)
+    np.testing.assert_allclose(to[:, 2], to[:, 1] + to[:, 3], rtol=0, atol=1e-12)
+    if cell == "hexahedron":
+        np.testing.assert_allclose(to[:, 5:7], to[:, 1:3] + to[:, 4:5], rtol=0, atol=1e-12)
+
+
+def test_run_with_quadratic_quadrilaterals(tmp_path):
+    """Everything that a run writes; both formulations with one rule have the same positions."""
+    path, out = tmp_path / "box.toml", tmp_path / "out"
+    if COMM.rank == 0:
+        path.write_text(BOX + "degree = 2\n")
+    COMM.barrier()
+    assert main(["run", str(path), "--out", str(out)]) == 0
+    with np.load(out / "final.npz") as a, np.load(out / "displacement" / "final.npz") as b:
+        assert a["cells"].shape == (8, 4)
+        for name, scale in (("x", 1.0), ("S", 1.0), ("Lam", 1e5), ("von_mises", 1e5)):
+            np.testing.assert_allclose(a[name], b[name], rtol=0, atol=1e-8 * scale)
+        drawn, largest = last_fields(out)
+        strain = np.linalg.norm(a["S"] - np.eye(2), axis=(1, 2))
+        np.testing.assert_allclose(drawn, strain.max(), rtol=1e-10)
+        moved = np.linalg.norm(a["x"] - a["X"], axis=1).max()
+        np.testing.assert_allclose(largest, moved, rtol=1e-10)
+    assert (out / "picture.png").exists() or (out / "picture.vtu").exists()
 
 
 def test_materials_by_tag_are_those_of_their_cells(tmp_path):

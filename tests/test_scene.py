@@ -66,6 +66,15 @@ def test_defaults():
     assert (scene.formulation, scene.solver, scene.baseline) == ("symmetric", "condensed", None)
 
 
+def test_elements():
+    """Triangles and degree 1 unless a scene says otherwise."""
+    scene = parsed(SQUARE)
+    assert (build_body(scene, COMM).num_cells, scene.degree) == (4, 1)
+    text = SQUARE.replace("cells = [2, 1]", 'cells = [2, 1], cell = "quadrilateral"')
+    scene = parsed(text + "degree = 2\n")
+    assert (build_body(scene, COMM).num_cells, scene.degree) == (2, 2)
+
+
 def test_the_mesh_file_is_relative_to_the_scene_file():
     text = re.sub(r"box.*", 'file = "../meshes/bar.msh"', SQUARE)
     scene = parse(text, Path("/scenes/mine/bar.toml"))
@@ -136,6 +145,12 @@ WRONG = [
     ("[2, 1]", "[2, 0]", "[mesh] box cells = [2, 0]: must be 2 whole numbers of 1 or more"),
     ("[2, 1]", "[2, 1, 1]", "[mesh] box cells = [2, 1, 1]: must be 2 whole numbers"),
     ("[2, 1]", "[2, 1.5]", "[mesh] box cells = [2, 1.5]: must be 2 whole numbers"),
+    (
+        "[2, 1]",
+        '[2, 1], cell = "hexahedron"',
+        '[mesh] box cell = "hexahedron": unknown; available: triangle, quadrilateral',
+    ),
+    ('"direct"', '"direct"\ndegree = 0', "[solve] degree = 0: must be a whole number of 1 or more"),
     ("[0.0, -9.81]", "[0.0, 0.0, -9.81]", "must have 2 entries, as the box has dimensions"),
     # names
     ('"corotational"', '"corotated"', 'name = "corotated": unknown (did you mean corotational?)'),

@@ -18,7 +18,7 @@ from forms import Corotational, deformation_gradient
 
 SCENE = """
 [mesh]
-box = {{ size = [2.0, 1.0], cells = [4, 2] }}
+box = {{ size = [2.0, 1.0], cells = [4, 2]{cell} }}
 
 [[material]]
 name = "{material}"
@@ -41,15 +41,29 @@ steps = 2
 formulation = "{formulation}"
 kernels = "{kernels}"
 solver = "{solver}"
+degree = {degree}
 """
 
 
-def simulate(folder, formulation, kernels, material="stable-neo-hookean", solver="condensed"):
+def simulate(
+    folder,
+    formulation,
+    kernels,
+    material="stable-neo-hookean",
+    solver="condensed",
+    cell="triangle",
+    degree=1,
+):
     """What evaluated the Newton system, and the displacement after two steps."""
     path = folder / f"{formulation}-{kernels}.toml"
     if MPI.COMM_WORLD.rank == 0:
         text = SCENE.format(
-            formulation=formulation, kernels=kernels, material=material, solver=solver
+            formulation=formulation,
+            kernels=kernels,
+            material=material,
+            solver=solver,
+            cell=f', cell = "{cell}"',
+            degree=degree,
         )
         path.write_text(text, encoding="utf-8")
     MPI.COMM_WORLD.barrier()
@@ -79,6 +93,8 @@ def test_kernels_are_a_switch(tmp_path, formulation, used):
         ({"formulation": "seed"}, 'none for the formulation "seed"; there are for symmetric, dis'),
         ({"material": "hencky"}, "none for hencky; there are for one strain energy out of as-ri"),
         ({"solver": "direct"}, 'none go with the solver "direct"; take "condensed"'),
+        ({"degree": 2}, "none but for displacements of degree 1 on triangles or tetrahedra"),
+        ({"cell": "quadrilateral"}, "none but for displacements of degree 1 on triangles or tet"),
     ],
 )
 def test_kernels_that_there_are_not(tmp_path, change, message):
@@ -111,6 +127,8 @@ def test_stress_with_kernels_is_that_of_the_present_rotation(tmp_path):
         kernels="compiled",
         material="corotational",
         solver="condensed",
+        cell="",
+        degree=1,
     )
     text = text.replace("[2.0, 1.0]", "[2.0, 1.0, 1.0]").replace("[4, 2]", "[2, 1, 1]")
     text = text.replace("-9.8]", "-9.8, 0.0]")
