@@ -22,7 +22,7 @@ from forms.fields import displacement_field, mixed_fields, set_everywhere
 from forms.kernels import DisplacementKernel, SymmetricKernel
 from forms.kinematics import deformation_gradient
 from forms.materials import StrainEnergy
-from forms.points import CELLS, local_space, quadrature_degree
+from forms.points import is_simplicial, local_space, quadrature_degree
 from forms.rotation import (
     linearised_stretch,
     polar_rotation,
@@ -270,7 +270,7 @@ def _hu_washizu_fields(msh: mesh.Mesh, degree: int = 1) -> Fields:
 
 def _mean_dilatation_fields(msh: mesh.Mesh, degree: int = 1) -> Fields:
     u, S, Y = mixed_fields(msh, degree=degree)
-    if msh.topology.cell_type in (cells[0] for cells in CELLS.values()):
+    if is_simplicial(msh):
         V = fem.functionspace(msh, ("DG", max(degree - 2, 0)))
     else:
         V = fem.functionspace(msh, ("DPC", degree - 1))

@@ -35,10 +35,13 @@ def quadrature_degree(V: fem.FunctionSpace) -> int:
         return int(element.embedded_superdegree)
     if V.element.basix_element.discontinuous:
         return 0
-    k, msh = int(V.element.basix_element.degree), V.mesh
-    if msh.topology.cell_type == CELLS[msh.topology.dim][0]:
-        return 2 * (k - 1)
-    return 2 * k
+    k = int(V.element.basix_element.degree)
+    return 2 * (k - 1) if is_simplicial(V.mesh) else 2 * k
+
+
+def is_simplicial(msh: mesh.Mesh) -> bool:
+    """Whether the cells are triangles or tetrahedra."""
+    return bool(msh.topology.cell_type == CELLS[msh.topology.dim][0])
 
 
 def measure(u: fem.Function) -> ufl.Measure:

@@ -15,6 +15,7 @@ from dolfinx.jit import mpi_jit_decorator
 
 from forms.materials import MATERIALS as ALL_MATERIALS
 from forms.materials import Material
+from forms.points import is_simplicial
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int32]
@@ -62,12 +63,13 @@ class Cells:
         if (
             mesh.geometry.cmaps[0].degree != 1
             or mesh.topology.dim != self.dimension
+            or not is_simplicial(mesh)
             or (element.family.name, element.degree) != ("P", 1)
             or V.dofmap.bs != self.dimension
             or any(a.dtype != np.dtype(np.float64) for a in (u.x.array, mesh.geometry.x))
         ):
             raise ValueError(
-                "the displacement is not P1 on straight cells, real and in double precision; "
+                "the displacement is not P1 on straight simplices, real and in double precision; "
                 "compiled kernels exist for no other"
             )
         cells = mesh.topology.index_map(mesh.topology.dim).size_local
