@@ -41,7 +41,7 @@ from forms.materials import (
     cell_values,
     lame_parameters,
 )
-from forms.points import measure, quadrature_degree
+from forms.points import measure, quadrature_degree, require_measure
 from forms.rotation import (
     linearised_stretch,
     polar_rotation,
@@ -96,6 +96,7 @@ __all__ = [
     "quadrature_degree",
     "quaternion_rotation",
     "refresh",
+    "require_measure",
     "right_stretch",
     "rotation_field",
     "seed",

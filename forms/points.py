@@ -13,6 +13,7 @@ from collections.abc import Iterable
 import basix.ufl
 import ufl
 from dolfinx import fem, mesh
+from ufl.algorithms import extract_coefficients
 
 CELLS = {
     2: (mesh.CellType.triangle, mesh.CellType.quadrilateral),
@@ -55,6 +56,30 @@ def measure(u: fem.Function) -> ufl.Measure:
     """
     degree = quadrature_degree(u.function_space)
     return ufl.dx(metadata={"quadrature_degree": degree}) if degree else ufl.dx
+
+
+def require_measure(energy: ufl.Form) -> None:
+    """Insist that what lives at quadrature points is integrated with their rule.
+
+    The form compiler would go by the points whatever rule an integral states, for all of its terms,
+    and so integrate inertia with a rule that is too coarse for it.
+
+    Raises:
+        ValueError: An integral has another rule than the points of one of its coefficients, or is
+            over facets.
+    """
+    for integral in energy.integrals():
+        for f in extract_coefficients(integral.integrand()):
+            element = f.ufl_element()
+            if element.has_custom_quadrature and (
+                integral.integral_type() != "cell"
+                or integral.metadata() != {"quadrature_degree": element.embedded_superdegree}
+            ):
+                raise ValueError(
+                    f"the energy integrates {f.name}, which lives at quadrature points, with "
+                    "another rule than theirs; multiply its density by forms.measure(u), and "
+                    "inertia and loads by ufl.dx"
+                )
 
 
 def local_space(

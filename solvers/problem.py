@@ -22,7 +22,7 @@ from dolfinx.fem.petsc import NonlinearProblem, assign
 from ufl.algorithms import expand_derivatives
 from ufl.corealg.dag_traverser import DAGTraverser
 
-from forms import CellData
+from forms import CellData, require_measure
 from solvers import options as defaults
 from solvers.compiled import CellKernel, CompiledProblem, KernelBlocks, weakly
 from solvers.condensation import (
@@ -96,8 +96,8 @@ class MixedProblem:
             jit_options: DOLFINx's options for compiling forms.
 
         Raises:
-            ValueError: An unknown solver, an energy that is not a functional of the fields, or
-                options that do not go together.
+            ValueError: An unknown solver, an energy that is not a functional of the fields or does
+                not go with `forms.measure`, or options that do not go together.
         """
         if solver not in SOLVERS:
             raise ValueError(f"solver is {solver!r}; available: {', '.join(SOLVERS)}")
@@ -116,6 +116,7 @@ class MixedProblem:
         missing = [f.name for f in wanted if f not in energy.coefficients()]
         if missing:
             raise ValueError(f"the energy does not depend on the field {missing[0]}")
+        require_measure(energy)
         destroy_dead(fields[0].function_space.mesh.comm)
         self.fields = tuple(fields)
         self.scales: npt.NDArray[np.float64] = np.ones(len(self.fields))
@@ -437,8 +438,9 @@ class MixedProblem:
             block = scales[local, None] * entries[local, local] * scales[local]
             largest = block.max(axis=1)
             scales[local] /= np.sqrt(np.where(largest > 0.0, largest, 1.0))
-        scales[0] = 1.0 / max(np.sqrt(entries[0, 0]), *(entries[0, local] * scales[local]), 0.0)
-        # A state without a Jacobian is for Newton's method to report.
+        with np.errstate(divide="ignore"):
+            scales[0] = 1.0 / max(np.sqrt(entries[0, 0]), *(entries[0, local] * scales[local]), 0.0)
+        # A state without a Jacobian is for Newton's method to report, or all of u is given.
         self.scales[:] = scales if np.isfinite(scales).all() else 1.0
         self._scaled = True
         self._D.array_w[:] = np.repeat(self.scales, np.diff(self._layout.offsets))

@@ -215,3 +215,11 @@ def test_fields_that_cells_share_are_refused():
     with pytest.raises(ValueError, match="the field Y is not local to cells"):
         MixedProblem(energy, (u, S, shared))
     assert global_norm(COMM, Y.x.array) == 0.0
+
+
+@pytest.mark.parametrize("dx", [ufl.dx, ufl.dx(metadata={"quadrature_degree": 3}), ufl.ds])
+def test_other_rules_than_that_of_the_points_are_refused(dx):
+    """FFCx would take the points' rule for all terms, too coarse for inertia."""
+    fields = u, S, Y = mixed_fields(small_mesh(2), degree=2)
+    with pytest.raises(ValueError, match="which lives at quadrature points, with another rule"):
+        MixedProblem((symmetric(u, S, Y, PSI) + ufl.inner(u, u)) * dx, fields)

@@ -330,7 +330,8 @@ def draw(records: Sequence[Record], figure: Figure) -> None:
     for plot in (*plots, last):
         plot.set_xlabel("mesh size [m]")
         plot.grid(alpha=0.3)
-        plot.legend(fontsize=7)
+        if plot.lines:
+            plot.legend(fontsize=7)
     plots[0].set_ylabel("error")
 
 
