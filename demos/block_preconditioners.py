@@ -291,34 +291,34 @@ for ranks in (1, 16, 256, 4096):
     say(f"{ranks:5d} ranks: {ranks * 4e9 / total / 1e6:8.1f} million tetrahedra")
 
 # %% [markdown]
-# `mixed-fem study preconditioner` and `scaling` measure the peak: for the symmetric formulation with
-# six multipliers 26 to 28 kB a tetrahedron on one rank and 29 to 31 on two with 12 000 each, whose
-# ghosts are the difference; 4 to 5 kB with condensation by compiled kernels, which assemble no block
-# but K. The interpreter and the libraries add 0.2 GB a rank.
+# `mixed-fem study preconditioner` and `scaling` measure the peak. For the symmetric formulation
+# with its six multipliers it is 26 to 28 kB a tetrahedron on one rank and 29 on two with 12 000
+# each, the difference being ghosts; 4 to 5 kB with condensation by compiled kernels, which assemble
+# no block but K. Interpreter and libraries come on top, 0.2 GB a rank.
 #
-# How much is sent? On a rank with n tetrahedra some 6 n^(2/3) vertices are another's, a few
-# thousand for n = 25 000, at 24 bytes each:
+# How much is sent? A rank with n tetrahedra has n/6 vertices and some 2 n^(2/3) of others as
+# ghosts, 1700 for n = 25 000, each with 24 bytes:
 #
 # - an evaluation of the residual or the Jacobian: u of the ghosts once, and their rows of the
-#   assembled vector or of M̃ and K back;
-# - an iteration of FGMRES: the same for each product with the whole matrix and with the Schur
-#   complements, and as many inner products as there are vectors so far, in two reductions;
-# - a multigrid cycle: one exchange a smoothing step on each level, no reduction but on the coarsest.
+#   assembled vector, or of M̃ and K, back;
+# - an iteration of FGMRES: the same for each product with the whole matrix and with a Schur
+#   complement, and two reductions; GMRES on K inside it, two more an iteration;
+# - a multigrid cycle: an exchange for each smoothing step on each level, and on the coarse levels,
+#   where there are more ranks than work, little else than waiting.
 #
-# Which options change on a cluster? The names stay; under the prefix of the condensed matrix,
-# followed by `ksp_` with "schur-full-gmres":
+# Which options would change on a cluster? This is a plan: two cores have not tested it. The names
+# stay; under the prefix of the condensed matrix, followed by `ksp_` with "schur-full-gmres":
 #
-# - `pc_gamg_process_eq_limit 200`: coarse levels with fewer equations a rank move to fewer ranks,
-#   as the time of a level of that size is all latency. PETSc's default is 50.
-# - `pc_gamg_repartition true`: those that moved are partitioned anew, worth it from some hundred
-#   ranks on, where their neighbours would be most of the machine.
-# - `mg_coarse_pc_type telescope` with `mg_coarse_telescope_pc_type lu`: the coarsest level is
-#   factorised on one rank, and all others wait for it.
-# - MUMPS for K up to 30 000 displacement dofs, as "schur-full" chooses; with 64 ranks or more some
-#   ten times as many, after which its factors, growing as n^(4/3) in 3D, outgrow the rest.
-# - As many ranks on a node as it has memory channels times two: all of this streams matrices from
-#   memory, at one multiplication for 6 bytes.
+# - `pc_gamg_process_eq_limit 200`: levels with fewer equations a rank move to fewer ranks, as all
+#   of their time is latency. PETSc's default is 50.
+# - `pc_gamg_repartition true`: the levels that moved are partitioned anew.
+# - `mg_coarse_pc_type telescope`, `mg_coarse_telescope_pc_type lu`: the coarsest level is
+#   factorised on one rank, and the others wait.
+# - MUMPS for K up to 30 000 displacement dofs only, as "schur-full" chooses: its factors grow with
+#   n^(4/3) in 3D, and their share of a rank with them.
+# - Fewer ranks on a node than cores, if memory does not keep up: a product with a matrix takes two
+#   operations for each 12 bytes of it.
 #
-# Fewer than some 10 000 tetrahedra a rank do not pay: their ghosts are a third of all they have.
-# The tests hold 1, 2, 3 and 4 ranks against one another: with exact blocks the iterations are the
-# same and the positions agree to 1e-10.
+# Some 10 000 tetrahedra a rank are few: for two vertices of its own there is one ghost. On 1, 2, 3
+# and 4 ranks the tests find the same iterations with exact blocks, and positions that agree to
+# 1e-10.
