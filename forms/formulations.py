@@ -189,8 +189,8 @@ def mean_dilatation(
     displacements, and it stiffens: it locks. Here the change of volume is a field θ of few values a
     cell, the only one that Ψ sees, with a pressure p. θ and p are constant on Q1 and P2 cells and
     linear on Q2 and P3 cells. With Q1, Q2 and P3 that cures; P2 becomes as much too soft as it was
-    too stiff. On P1 simplices θ is det F, and it is `symmetric`, locking included. θ and p are
-    local to cells: static condensation takes them along.
+    too stiff, and on P2 and P3 the positions lose an order. On P1 simplices θ is det F, and it is
+    `symmetric`, locking included. θ and p are local to cells: static condensation takes them along.
 
     J. C. Simo, R. L. Taylor, K. S. Pister, Variational and projection methods for the volume
     constraint in finite deformation elasto-plasticity, CMAME 51 (1985).

@@ -89,9 +89,9 @@ def test_newton_is_quadratic_linear_or_neither():
     assert mixed["order"] > 1.7
     for record in inexact:
         assert record["order"] == pytest.approx(1.0, abs=0.1)
-        # Each iteration multiplies the residual by the same factor.
-        ratios = np.divide(record["residuals"][-3:], record["residuals"][-4:-1])
-        np.testing.assert_allclose(ratios, record["factor"], rtol=0.2)
+        # Two iterations multiply the residual by the same factor, though they may alternate.
+        ratios = np.divide(record["residuals"][-3:], record["residuals"][-5:-2])
+        np.testing.assert_allclose(np.sqrt(ratios), record["factor"], rtol=0.2)
     assert 2 * mixed["iterations"] < classical["iterations"]
     swapped = [mixed | {"formulation": "gauss-newton"}, inexact[0] | {"formulation": "symmetric"}]
     assert [line.rpartition(", ")[2] for line in newton.verdict(swapped)] == [

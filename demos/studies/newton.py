@@ -67,14 +67,13 @@ def compute(comm: MPI.Comm, parameters: Parameters) -> Record:
 
 
 def order(residuals: Sequence[float]) -> float:
-    """Order of convergence: the larger of those of the last four residuals above round-off.
+    """Order of convergence: the slope of log r over that of the iteration before.
 
-    From three of them at a time. The last three are spoilt by rounding error where those before are
-    not, or those before by the way to convergence where the last are not.
+    Of the last few residuals that are below a tenth of the first and above round-off, so that a
+    linear rate may alternate.
     """
-    logs = np.log([r for r in residuals if r > ROUND_OFF][-4:])
-    steps = np.diff(logs)
-    return float(np.max(steps[1:] / steps[:-1])) if len(steps) > 1 else float("nan")
+    logs = np.log([r for r in residuals if ROUND_OFF < r < 0.1][-5:])
+    return float(np.polyfit(logs[:-1], logs[1:], 1)[0]) if len(logs) > 2 else float("nan")
 
 
 def factor(residuals: Sequence[float]) -> float:
