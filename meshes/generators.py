@@ -25,7 +25,8 @@ def box(
     i + (n₀ + 1) j [+ (n₀ + 1)(n₁ + 1) k], so x runs fastest. A rectangle of the grid is cut
     into 2 triangles along its rising diagonal, a cuboid into 6 tetrahedra around its diagonal
     from the lowest to the highest corner; those of grid cell (i, j[, k]) follow one another,
-    and x again runs fastest. Quadrilaterals and hexahedra are the grid cells themselves.
+    and x again runs fastest. Quadrilaterals and hexahedra are the grid cells themselves; with
+    quadrilaterals it is y that runs fastest, as DOLFINx has it.
 
     Args:
         comm: Communicator over which the mesh is distributed.

@@ -286,7 +286,7 @@ def said(capfd) -> str:
         (["run", "hanging-bar", "--fast"], "unrecognized arguments: --fast"),
         (
             ["study", "rate", "--quick"],
-            "study rate: unknown; available: cost, newton, ref",
+            "study rate: unknown; available: benchmark, cost, equi",
         ),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",

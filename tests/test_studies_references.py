@@ -94,16 +94,20 @@ def test_reference_of_cooks_membrane_is_as_published(nu, published):
 
 
 def test_triangles_lock():
-    """Cook's membrane and a bent beam at ν = 0.4999, and hardly at 0.3, in either method."""
-    cases = [
-        locking.case("cook", method, nu, 16) for method in locking.METHODS for nu in (0.3, 0.4999)
-    ]
-    cases += [locking.case("beam", locking.METHODS[0], nu, 4) for nu in (0.3, 0.4999)]
+    """Cook's membrane and a bent beam at ν = 0.4999, and hardly at 0.3; mean dilatation cures."""
+    linear = [(formulation, "triangle", 1) for formulation in ("symmetric", "displacement")]
+    cured = ("mean-dilatation", "quadrilateral", 1)
+    assert {*linear, cured} <= {*locking.METHODS}
+    cases = [locking.case("cook", method, nu, 16) for method in linear for nu in (0.3, 0.4999)]
+    cases += [locking.case("beam", linear[0], nu, 4) for nu in (0.3, 0.4999)]
+    cases.append(locking.case("cook", cured, 0.4999, 16))
     records = [case | locking.compute(COMM, case) for case in cases]
     assert locking.verdict(records) == []
     ratios = [r["ratio"] for r in records]
     assert ratios[1] < 0.3 < 0.85 < ratios[0] < 1
     np.testing.assert_allclose(ratios[:2], ratios[2:4], rtol=1e-8)
     assert ratios[5] < 0.02 < 0.85 < ratios[4] < 1
+    assert ratios[6] == pytest.approx(1.0, abs=0.03)
+    assert locking.verdict([*records[:6], records[6] | {"ratio": 0.9}])
     assert locking.verdict([records[0] | {"failure": "DIVERGED_MAX_IT"}])
     show(locking.LOCKING, records)
