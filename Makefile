@@ -7,6 +7,8 @@ MAKEFLAGS += --no-print-directory
 
 BIN := .venv/bin
 RANKS ?= 2
+# Processes that share the tests in serial.
+JOBS ?= auto
 # Seconds after which a run of the test-suite is stopped.
 TEST_TIMEOUT ?= 900
 DEMO_TIMEOUT ?= 600
@@ -31,7 +33,8 @@ demo: setup ## run the hanging bar: table, fields and picture in results/hanging
 
 test: setup ## run the test-suite in serial, then on RANKS=2 ranks
 	@echo "== tests, serial"
-	@timeout -s INT -k 20 $(TEST_TIMEOUT) $(BIN)/python -m pytest $(ARGS)
+	@timeout -s INT -k 20 $(TEST_TIMEOUT) $(BIN)/python -m pytest \
+	  -n $(JOBS) --maxprocesses 8 --dist loadfile $(ARGS)
 	@echo "== tests, $(RANKS) ranks" # Open MPI gives each rank a terminal, hence PY_COLORS
 	@test -t 1 || export PY_COLORS=0; \
 	timeout -s INT -k 20 $(TEST_TIMEOUT) $(BIN)/mpiexec -n $(RANKS) $(BIN)/python -m pytest $(ARGS)

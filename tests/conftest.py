@@ -28,6 +28,8 @@ from dolfinx.jit import DOLFINX_DEFAULT_JIT_OPTIONS
 
 # Compiling is what the tests take time for, and not what they are about: a third of it this way.
 DOLFINX_DEFAULT_JIT_OPTIONS["cffi_extra_compile_args"] = (["-O0", "-g0"], "compiler arguments")
+# Processes that share the tests wait for one another's forms.
+DOLFINX_DEFAULT_JIT_OPTIONS["timeout"] = (300, "seconds")
 
 WAIT = 300.0  # [s] for the others to end a phase that this rank has passed
 WAIT_AFTER_FAILURE = 30.0  # [s] for the others to end a phase that this rank has failed
