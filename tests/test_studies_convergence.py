@@ -37,6 +37,7 @@ def test_cost_of_a_small_case():
     show(cost.COST, records)
 
 
+@pytest.mark.serial
 @pytest.mark.parametrize(
     ("formulation", "motion"), [(f, "static") for f in FIRST_FORMULATIONS] + [("seed", "dynamic")]
 )
@@ -50,6 +51,7 @@ def test_orders_of_refinement_in_3d():
     check_orders([refinement.case("symmetric", 3, "dynamic", "condensed", n) for n in (2, 4, 8)])
 
 
+@pytest.mark.serial
 @pytest.mark.parametrize(("d", "cell", "degree"), refinement.ELEMENTS)
 def test_orders_of_refinement_by_element(d, cell, degree):
     """u in L2: k + 1, in H1: k; S and Λ at their points: k or more."""
@@ -101,6 +103,7 @@ def test_newton_is_quadratic_linear_or_neither():
     show(newton.NEWTON, records)
 
 
+@pytest.mark.serial
 def test_order_of_backward_euler():
     """One, in displacement, velocity and energy; the two formulations march alike."""
     cases = timestep.grid(quick=True)
@@ -115,6 +118,7 @@ def test_order_of_backward_euler():
     show(timestep.TIMESTEP, records)
 
 
+@pytest.mark.serial
 def test_stiffness_of_thrown_bars():
     """Where the displacement's Newton takes many iterations the mixed one takes few."""
     pytest.importorskip("numba")
@@ -134,6 +138,7 @@ def test_stiffness_of_thrown_bars():
     show(stiffness.STIFFNESS, records)
 
 
+@pytest.mark.serial
 def test_a_few_iterations_do_whatever_the_contrast():
     """Of the mixed method, as published too; the displacement's Newton is nowhere near."""
     pytest.importorskip("numba")

@@ -44,6 +44,7 @@ def test_frequency_from_backward_euler():
     assert benchmark.frequency_of_backward_euler(positions, h) == pytest.approx(omega, rel=1e-9)
 
 
+@pytest.mark.serial
 def test_beams_converge_to_the_references():
     """At second order, to the elastica and to Timoshenko's frequency."""
     cases = [
@@ -71,6 +72,7 @@ def test_scenes_have_the_displacement_methods_positions():
     show(equivalence.EQUIVALENCE, [record])
 
 
+@pytest.mark.serial
 def test_plates_agree_unless_they_may_not():
     """Signed stretches see an inverted cell as the displacement method does, √(FᵀF) does not."""
     cases = [
@@ -87,12 +89,14 @@ def test_plates_agree_unless_they_may_not():
     show(equivalence.EQUIVALENCE, records)
 
 
+@pytest.mark.serial
 @pytest.mark.parametrize(("nu", "published"), cook.PUBLISHED.items())
 def test_reference_of_cooks_membrane_is_as_published(nu, published):
     point, value = published
     assert cook.reference(COMM, nu, point, n=32) == pytest.approx(value, rel=4e-3)
 
 
+@pytest.mark.serial
 def test_triangles_lock():
     """Cook's membrane and a bent beam at ν = 0.4999, and hardly at 0.3; mean dilatation cures."""
     linear = [(formulation, "triangle", 1) for formulation in ("symmetric", "displacement")]

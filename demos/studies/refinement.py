@@ -210,7 +210,8 @@ def _errors(u: fem.Function[Any], pairs: dict[str, tuple[Expr, Expr]]) -> dict[s
             return np.array(fem.Expression(expression, points).eval(msh, cells), dtype=float)
 
         size = np.abs(at(ufl.JacobianDeterminant(msh)))
-        reference = at(exact).reshape(len(cells), len(points), -1)
+        components = int(np.prod(exact.ufl_shape))
+        reference = at(exact).reshape(len(cells), len(points), components)
         if name == "S":
             reference = _stretch(reference.reshape(*reference.shape[:2], d, d)).reshape(
                 reference.shape
