@@ -1,8 +1,8 @@
 """`mixed-fem study scaling`: the same mesh on more ranks, and meshes that grow with the ranks.
 
 A bar of 4 m × 1 m × 1 m, clamped at x = 0, begins to fall. The first step finds out where entries
-of matrices go and is not timed; those after it are. The study itself runs in serial and starts each case
-with `mpiexec` as processes of their own.
+of matrices go and is not timed; those after it are. The study itself runs in serial and starts each
+case with `mpiexec` as processes of their own.
 """
 
 from __future__ import annotations
@@ -149,9 +149,9 @@ def table(records: Sequence[Record]) -> list[str]:
     """A row a case."""
     lines = [
         "",
-        f"'Newton': iterations of {STEPS} steps, and then seconds of one on the slowest rank. 'faster':",
-        "tetrahedra a second beside one rank's; 'eff.': that by rank; 'MB/rank': peak memory of a",
-        "rank, without libraries.",
+        f"'Newton': iterations of {STEPS} steps, and then seconds of one on the slowest rank.",
+        "'faster': tetrahedra a second beside one rank's; 'eff.': that by rank; 'MB/rank': peak",
+        "memory of a rank, without libraries.",
         f"condensed: compiled kernels, CG with GAMG; fieldsplit: UFL, schur-full-gmres. {_cores()} "
         "cores here.",
     ]
