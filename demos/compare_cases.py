@@ -121,7 +121,8 @@ def make_body(comm: MPI.Comm, name: str) -> Body:
         X, cells = np.empty((0, 3)), np.empty((0, 4), dtype=np.int64)
     # singledispatch hides this overload from type checkers
     partitioner = mesh.create_cell_partitioner(mesh.GhostMode.shared_facet, 2)  # type: ignore[call-arg]
-    msh = mesh.create_mesh(comm, cells.astype(np.int64), domain(3), X, partitioner)
+    straight = domain(mesh.CellType.tetrahedron)
+    msh = mesh.create_mesh(comm, cells.astype(np.int64), straight, X, partitioner)
     local = np.arange(len(msh.topology.original_cell_index), dtype=np.int32)
     return Body(msh, mesh.meshtags(msh, 3, local, np.zeros(len(local), dtype=np.int32)))
 

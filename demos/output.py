@@ -19,7 +19,7 @@ from dolfinx import fem, mesh
 from dolfinx.io import VTKFile
 
 from demos.simulation import Energies, Simulation
-from meshes import Body
+from meshes import VTK_ORDER, Body
 from solvers import SolveResult
 
 _STEP = ("step", "time", "newton_iterations", "krylov_iterations")
@@ -188,8 +188,7 @@ def _vtk_cells(body: Body) -> Array:
     cells, kind = body.file_connectivity(), body.mesh.topology.cell_type
     if kind in (mesh.CellType.triangle, mesh.CellType.tetrahedron):
         return np.sort(cells)
-    order = [0, 1, 3, 2, 4, 5, 7, 6]  # DOLFINx goes through a grid, VTK around a face
-    return cells[:, order[: cells.shape[1]]]
+    return cells[:, VTK_ORDER[kind]]
 
 
 def _gather_vertices(body: Body, function: fem.Function[Any]) -> Array | None:

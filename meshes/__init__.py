@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from mpi4py import MPI  # noqa: F401  (must precede every other MPI import)
 
-from meshes.body import Body, MeshError
+from meshes.body import VTK_ORDER, Body, MeshError
 from meshes.generators import CELLS, box
 from meshes.readers import read
 from meshes.where import Where
 
-__all__ = ["CELLS", "Body", "MeshError", "Where", "box", "read"]
+__all__ = ["CELLS", "VTK_ORDER", "Body", "MeshError", "Where", "box", "read"]

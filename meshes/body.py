@@ -8,13 +8,22 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 from dolfinx.fem import FunctionSpace, locate_dofs_topological
-from dolfinx.mesh import Mesh, MeshTags, entities_to_geometry
+from dolfinx.mesh import CellType, Mesh, MeshTags, entities_to_geometry
 
 from meshes.where import AXES, Where
 
 # Vertices count as lying on a plane within this fraction of the largest extent: single
 # precision files round coordinates at 1e-7.
 PLANE_TOLERANCE = 1e-6
+
+# Vertices of a cell in the order of VTK, which goes around a face, among DOLFINx's, which goes
+# through a grid; and the other way round.
+VTK_ORDER = {
+    CellType.triangle: [0, 1, 2],
+    CellType.quadrilateral: [0, 1, 3, 2],
+    CellType.tetrahedron: [0, 1, 2, 3],
+    CellType.hexahedron: [0, 1, 3, 2, 4, 5, 7, 6],
+}
 
 
 class MeshError(ValueError):

@@ -12,8 +12,8 @@ import meshio
 import numpy as np
 import numpy.typing as npt
 
-from meshes.body import MeshError
-from meshes.raw import SIMPLEX, TAGGED, Integers, RawMesh, cell_kind, planar
+from meshes.body import VTK_ORDER, MeshError
+from meshes.raw import CELLS, TAGGED, Integers, RawMesh, cell_kind, planar
 
 # The files' own names for the region a cell belongs to, the most specific first.
 _REGION_KEYS = ("gmsh:physical", "medit:ref", "cell_tags", "name_to_read")
@@ -23,7 +23,7 @@ def load_meshio(path: Path) -> RawMesh:
     """Read any file that meshio knows by its suffix.
 
     Raises:
-        MeshError: meshio cannot read the file, or it holds other than straight simplices.
+        MeshError: meshio cannot read the file, or it holds other than straight cells of one kind.
     """
     said = io.StringIO()
     # meshio prints its findings and exits the interpreter when no reader fits.
@@ -42,14 +42,17 @@ def load_meshio(path: Path) -> RawMesh:
 
     kinds = {block.type for block in found.cells if len(block.data)}
     kind = cell_kind(kinds)
-    d = SIMPLEX[kind]
+    d = TAGGED[kind]
     blocks = [i for i, block in enumerate(found.cells) if block.type == kind]
     cells = np.concatenate([found.cells[i].data for i in blocks]).astype(np.int64)
+    # meshio has all formats' vertices in VTK's order.
+    cells = cells[:, VTK_ORDER[CELLS[kind]]]
     data = _region_data(found)
     tags = np.zeros(len(cells), dtype=np.int32)
     if data is not None:
         tags = np.concatenate([data[i] for i in blocks]).astype(np.int32)
-    raw = RawMesh(planar(np.asarray(found.points, dtype=np.float64), d), cells, tags)
+    points = planar(np.asarray(found.points, dtype=np.float64), d)
+    raw = RawMesh(CELLS[kind], points, cells, tags)
 
     groups: dict[str | int, Integers] = {}
     names = {(int(dim), int(tag)): str(n) for n, (tag, dim) in found.field_data.items()}

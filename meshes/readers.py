@@ -16,7 +16,7 @@ from meshes.xdmf_files import load_xdmf
 
 
 def read(comm: MPI.Comm, path: str | Path) -> Body:
-    """Read a body from a file of triangles or tetrahedra.
+    """Read a body from a file of triangles or quadrilaterals, of tetrahedra or hexahedra.
 
     The file order of the result is that of the file: vertices as listed, cells as listed
     (block after block where the format has blocks). Cell tags are gmsh physical groups, Medit
@@ -30,9 +30,9 @@ def read(comm: MPI.Comm, path: str | Path) -> Body:
         path: The file; its suffix tells the format.
 
     Raises:
-        MeshError: On all ranks: the file is missing or unreadable, holds other than straight
-            triangles or tetrahedra or a mix of cells, has vertices without a cell, or cells
-            that are flat or folded over a neighbour.
+        MeshError: On all ranks: the file is missing or unreadable, holds other cells or a mix of
+            cells, has vertices without a cell, or cells that are flat, not convex or folded over
+            a neighbour.
     """
     raw: RawMesh | None = None
     error: str | None = None
@@ -47,13 +47,15 @@ def read(comm: MPI.Comm, path: str | Path) -> Body:
     if error is not None:
         raise MeshError(error)
 
-    d = comm.bcast(None if raw is None else raw.points.shape[1])
+    name, vertices = comm.bcast(None if raw is None else (raw.kind.name, raw.cells.shape[1]))
+    kind = getattr(mesh.CellType, name)
+    d = mesh.cell_dim(kind)
     # Every rank gets the tags of the whole file: 4 bytes a cell, far below the mesh itself.
     tags, groups = comm.bcast(None if raw is None else (raw.tags, raw.groups))
     msh = mesh.create_mesh(
         comm,
-        np.empty((0, d + 1), dtype=np.int64) if raw is None else raw.cells,
-        domain(d),
+        np.empty((0, vertices), dtype=np.int64) if raw is None else raw.cells,
+        domain(kind),
         np.empty((0, d)) if raw is None else raw.points,
         # singledispatch hides this overload from type checkers
         mesh.create_cell_partitioner(mesh.GhostMode.shared_facet, 2),  # type: ignore[call-arg]

@@ -16,9 +16,12 @@ from dolfinx import mesh
 from dolfinx.io import XDMFFile
 
 from meshes.body import MeshError
-from meshes.raw import SIMPLEX, TAGGED, RawMesh, cell_kind, check, domain, planar
+from meshes.raw import CELLS, TAGGED, RawMesh, cell_kind, check, domain, planar
 
-_SPELLINGS = {"tetrahedron": "tetra", "polyline": "line", "polyvertex": "vertex"}
+_SPELLINGS = {
+    **{"tetrahedron": "tetra", "quadrilateral": "quad"},
+    **{"polyline": "line", "polyvertex": "vertex"},
+}
 _DOMAIN = "/Xdmf/Domain"
 
 
@@ -26,7 +29,7 @@ def load_xdmf(path: Path) -> RawMesh:
     """Read the first mesh of the highest dimension in the file, and its integer cell data.
 
     Raises:
-        MeshError: The file cannot be read as XDMF, or holds no straight simplices.
+        MeshError: The file cannot be read as XDMF, or holds no straight cells.
     """
     try:
         tree = ET.parse(path)
@@ -44,22 +47,23 @@ def load_xdmf(path: Path) -> RawMesh:
             "keeps its numbers in the XML; write them to HDF5 (DOLFINx, meshio: default)"
         )
     kind, body = max(grids, key=lambda pair: TAGGED.get(pair[0], 4))
-    d = SIMPLEX[cell_kind({kind})]
+    d = TAGGED[cell_kind({kind})]
     name = body.get("Name", "")
     try:
         with _silent_hdf5(), XDMFFile(MPI.COMM_SELF, str(path), "r") as file:
             cells = np.asarray(file.read_topology_data(name, _DOMAIN), dtype=np.int64)
             points = np.asarray(file.read_geometry_data(name, _DOMAIN), dtype=np.float64)
-            raw = RawMesh(planar(points, d), cells, np.zeros(len(cells), dtype=np.int32))
+            tags = np.zeros(len(cells), dtype=np.int32)
+            raw = RawMesh(CELLS[kind], planar(points, d), cells, tags)
             check(raw)
-            msh = mesh.create_mesh(MPI.COMM_SELF, raw.cells, domain(d), raw.points)
+            msh = mesh.create_mesh(MPI.COMM_SELF, raw.cells, domain(raw.kind), raw.points)
             for kind, grid in grids:
                 dim = TAGGED[kind]
                 msh.topology.create_entities(dim)
                 msh.topology.create_connectivity(dim, d)
                 for attribute in filter(_is_tag, grid.findall("Attribute")):
-                    tags = file.read_meshtags(msh, grid.get("Name", ""), attribute.get("Name"))
-                    _adopt(raw, msh, tags)
+                    found = file.read_meshtags(msh, grid.get("Name", ""), attribute.get("Name"))
+                    _adopt(raw, msh, found)
     except RuntimeError as e:
         # DOLFINx wheels have an HDF5 without deflate, which meshio applies by default.
         said = " ".join(str(e).split()).rstrip(".")

@@ -5,7 +5,8 @@ The Newton system in a displacement u and cell-local fields l,
     ( J_uu  J_ul ) ( δu )   ( b_u )
     ( J_lu  J_ll ) ( δl ) = ( b_l ),
 
-has a J_ll with one dense block D a cell, so that with B the rows of J_lu of that cell
+has a J_ll with one dense block D a cell, or one a quadrature point if all of l lives at such
+points, so that with B the rows of J_lu of that cell or point
 
     K = J_uu - Σ_K Bᵀ D⁻¹ B,   K δu = b_u - Σ_K Bᵀ D⁻¹ b_l,   δl = D⁻¹ (b_l - B δu).
 
@@ -62,7 +63,10 @@ class CondensedBlocks(Protocol):
 
 
 class CellBlocks:
-    """Reads J_uu, B and D of each owned cell off the assembled Jacobian, and assembles K."""
+    """Reads J_uu, B and D of each part off the assembled Jacobian, and assembles K.
+
+    A part is an owned cell, or a quadrature point of one.
+    """
 
     def __init__(self, layout: BlockLayout, A: PETSc.Mat, block_size: int) -> None:
         """Work out where each entry goes; the sparsity of A never changes.
@@ -72,36 +76,46 @@ class CellBlocks:
             A: The Jacobian, assembled once.
             block_size: Components of the displacement.
         """
-        self._cells = layout.cells
-        self._u_dofs = layout.cell_dofs(0)
+        self._parts = layout.cells * layout.points
+        cell_dofs = layout.cell_dofs(0)
+        self._u_dofs = np.repeat(cell_dofs, layout.points, axis=0)
         self._local_u_dofs = layout.local_dofs(0)
         local_fields = range(1, len(layout.offsets) - 1)
-        l_dofs = [layout.cell_dofs(f) for f in local_fields]
-        # Rows of the local unknowns of a cell among this rank's unknowns.
+        # On a cell the points come one after the other.
+        l_dofs = [
+            dofs.reshape(self._parts, dofs.shape[1] // layout.points)
+            for dofs in map(layout.cell_dofs, local_fields)
+        ]
+        # Rows of the local unknowns of a part among this rank's unknowns.
         self._l_rows: Ints = np.hstack(
             [dofs + layout.offsets[f] for f, dofs in zip(local_fields, l_dofs, strict=True)]
         )
         self._comm = layout.comm
-        # The field of each local unknown of a cell.
+        # The field of each local unknown of a part.
         self._l_fields: Ints = np.repeat(local_fields, [dofs.shape[1] for dofs in l_dofs])
         first, _ = A.getOwnershipRange()
         nu, nl = self._u_dofs.shape[1], self._l_rows.shape[1]
-        self._shape_B, self._shape_D = (self._cells, nl, nu), (self._cells, nl, nl)
+        self._shape_B, self._shape_D = (self._parts, nl, nu), (self._parts, nl, nl)
+        self._shape_of_cells = layout.cells, layout.points * nl, nu
 
         indptr, columns, _ = A.getValuesCSR()
         columns = columns.astype(np.int64)
         row = np.repeat(np.arange(layout.offsets[-1]), np.diff(indptr))
         is_u = layout.fields_of(columns) == 0
-        # Cell and place in the cell of each row of a local unknown.
+        # Part and place in the part of each row of a local unknown.
         place = np.full(layout.offsets[-1], -1)
         place[self._l_rows.ravel()] = np.arange(self._l_rows.size)
-        # B: columns matched within the cell by a key that orders by cell, then by column.
+        # B: columns matched within the part by a key that orders by part, then by column.
         stride = np.int64(A.size[1])
         self._from_B = np.flatnonzero((place[row] >= 0) & is_u)
         self._to_B = self._match(
             place[row[self._from_B]], columns[self._from_B], layout.numbers(0, self._u_dofs), stride
         )
         self._from_D = np.flatnonzero((place[row] >= 0) & ~is_u)
+        if layout.points > 1:  # there are entries, all zero, between the points of a cell
+            from_row = place[row[self._from_D]] // nl
+            from_column = place[columns[self._from_D] - first] // nl
+            self._from_D = self._from_D[from_row == from_column]
         self._to_D = self._match(
             place[row[self._from_D]], columns[self._from_D], self._l_rows + first, stride
         )
@@ -110,7 +124,7 @@ class CellBlocks:
         # Owned u unknowns are first among the rank's unknowns, so a row's number is its dof.
         uu_rows = layout.own_global(0, row[self._from_uu].astype(np.int32))
         uu_columns = layout.own_numbers(0, columns[self._from_uu])
-        dofs = layout.own_global(0, self._u_dofs)
+        dofs = layout.own_global(0, cell_dofs)
         cell_rows, cell_columns = np.repeat(dofs, nu, axis=1), np.tile(dofs, (1, nu))
         rows = np.concatenate([uu_rows, cell_rows.ravel()])
         columns = np.concatenate([uu_columns, cell_columns.ravel()])
@@ -122,14 +136,14 @@ class CellBlocks:
             rows.astype(PETSc.IntType, copy=False), columns.astype(PETSc.IntType, copy=False)
         )
 
-    def _match(self, place: Ints, columns: Ints, of_cell: Ints, stride: np.int64) -> Ints:
-        """Flat positions in an array (cells, local rows, columns of the cell)."""
-        cell, local_row = np.divmod(place, self._l_rows.shape[1])
-        keys = np.arange(self._cells)[:, None] * stride + of_cell
+    def _match(self, place: Ints, columns: Ints, of_part: Ints, stride: np.int64) -> Ints:
+        """Flat positions in an array (parts, local rows, columns of the part)."""
+        part, local_row = np.divmod(place, self._l_rows.shape[1])
+        keys = np.arange(self._parts)[:, None] * stride + of_part
         order = np.argsort(keys, axis=None)
-        found = order[np.searchsorted(keys.ravel()[order], cell * stride + columns)]
-        width = of_cell.shape[1]
-        return (cell * self._l_rows.shape[1] + local_row) * width + found % width
+        found = order[np.searchsorted(keys.ravel()[order], part * stride + columns)]
+        width = of_part.shape[1]
+        return (part * self._l_rows.shape[1] + local_row) * width + found % width
 
     def update(self, A: PETSc.Mat) -> Sequence[int]:
         """Eliminate the local unknowns from the assembled Jacobian A, into K."""
@@ -142,7 +156,9 @@ class CellBlocks:
         if singular := set().union(*self._comm.allgather(set(here.tolist()))):
             return sorted(singular)
         # Not einsum, which does not call BLAS for a product in each cell.
-        condensed = -(self._B.transpose(0, 2, 1) @ (self._inverse @ self._B))
+        B = self._B.reshape(self._shape_of_cells)
+        D_B = (self._inverse @ self._B).reshape(self._shape_of_cells)
+        condensed = -(B.transpose(0, 2, 1) @ D_B)
         self.K.setValuesCOO(
             np.concatenate([values[self._from_uu], condensed.ravel()]), PETSc.InsertMode.INSERT
         )
@@ -393,7 +409,7 @@ class CondensedSolver:
 
 
 def _inverse(D: Floats) -> tuple[Floats, npt.NDArray[np.bool_]]:
-    """Inverses of the cells' blocks, and which of the unknowns are in a null space of one."""
+    """Inverses of the parts' blocks, and which of the unknowns are in a null space of one."""
     resolved = 1.0 / np.finfo(float).eps
     nothing = np.zeros(D.shape[1], dtype=bool)
     try:

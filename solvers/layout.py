@@ -19,6 +19,8 @@ class BlockLayout:
     Attributes:
         comm: Communicator of the mesh.
         cells: Number of cells this rank owns.
+        points: Points of a cell at which the fields after the first live, if all live at the points
+            of one quadrature rule; else 1. Unknowns of two points are not coupled.
         offsets: Where each field starts among this rank's owned unknowns; the last entry is their
             number. Shape (fields + 1,).
     """
@@ -28,6 +30,9 @@ class BlockLayout:
         mesh = fields[0].function_space.mesh
         self.comm: MPI.Comm = mesh.comm
         self.cells: int = mesh.topology.index_map(mesh.topology.dim).size_local
+        widths = {m.list.shape[1] for m in self._dofmaps[1:]}
+        pointwise = all(f.function_space.ufl_element().has_custom_quadrature for f in fields[1:])
+        self.points: int = widths.pop() if pointwise and len(widths) == 1 else 1
         owned = [m.index_map.size_local * m.index_map_bs for m in self._dofmaps]
         self.offsets: Ints = np.cumsum([0, *owned])
         per_rank = np.array(self.comm.allgather(self.offsets))

@@ -10,6 +10,7 @@ from mpi4py import MPI
 import meshio
 import numpy as np
 import pytest
+import ufl
 from dolfinx import fem
 from dolfinx.io import XDMFFile
 from dolfinx.mesh import compute_midpoints, entities_to_geometry, locate_entities_boundary, meshtags
@@ -217,6 +218,68 @@ def test_reads_a_flat_mesh_of_triangles(tmp_path):
     assert vertices(body, {"x": "max"}) == [1, 2]
 
 
+# meshio's name, and the place of each vertex among DOLFINx's.
+VTK = {
+    "quadrilateral": ("quad", [0, 1, 3, 2]),
+    "hexahedron": ("hexahedron", [0, 1, 3, 2, 4, 5, 7, 6]),
+}
+
+
+def skewed(cell: str) -> tuple[np.ndarray, np.ndarray]:
+    """Points, and cells with vertices in VTK's order, of a distorted box."""
+    d = 2 if cell in CELLS[2] else 3
+    points, _, _ = in_file_order(box(COMM, (3.0, 2.0, 2.0)[:d], (3, 2, 2)[:d], cell))
+    body = box(MPI.COMM_SELF, (3.0, 2.0, 2.0)[:d], (3, 2, 2)[:d], cell)
+    cells = body.file_connectivity()[np.argsort(body.file_cells)]
+    return points + 0.1 * np.sin(points[:, ::-1] * 2.0 + points), cells[:, VTK[cell][1]]
+
+
+@pytest.mark.parametrize("cell", VTK)
+@pytest.mark.parametrize("name", FORMATS)
+def test_reads_quadrilaterals_and_hexahedra(name, cell, tmp_path):
+    """In the order of the file; what they fill by Gauss's rule on the file's own vertices."""
+    file, options, key = FORMATS[name]
+    points, cells = skewed(cell)
+    d = points.shape[1]
+    tags = 1 + np.arange(len(cells)) % 3
+    data = {key: [tags]}
+    if key == "gmsh:physical":
+        data["gmsh:geometrical"] = [np.ones_like(tags)]
+    padded = np.hstack([points, np.zeros((len(points), 3 - d))])
+    path = write(tmp_path / file, padded, [(VTK[cell][0], cells)], cell_data=data, **options)
+    body = read(COMM, path)
+    found, sets, found_tags = in_file_order(body)
+    np.testing.assert_allclose(found, points, rtol=0, atol=1e-15)
+    np.testing.assert_array_equal(sets, np.sort(cells))
+    np.testing.assert_array_equal(found_tags, tags)
+
+    corner = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    if d == 3:
+        corner = np.vstack([np.c_[corner, np.full(4, -1)], np.c_[corner, np.ones(4)]])
+    volumes = np.zeros(len(cells))
+    for gauss in product((-(3**-0.5), 3**-0.5), repeat=d):
+        factors = (1 + corner * gauss) / 2
+        slopes = [corner[:, i] / 2 * np.delete(factors, i, axis=1).prod(axis=1) for i in range(d)]
+        volumes += np.abs(np.linalg.det(np.einsum("kai,ja->kij", points[cells], slopes)))
+    volume = fem.form(ufl.TestFunction(fem.functionspace(body.mesh, ("DG", 0))) * ufl.dx)
+    mine = fem.assemble_vector(volume).array[: len(body.file_cells)]
+    np.testing.assert_allclose(mine, volumes[body.file_cells], rtol=1e-13)
+
+
+def test_groups_of_hexahedra(tmp_path):
+    """A tagged quadrilateral is a facet there."""
+    points, cells = skewed("hexahedron")
+    top = np.array([[24, 25, 29, 28]])
+    path = write(
+        tmp_path / "bricks.msh",
+        points,
+        [("hexahedron", cells), ("quad", top)],
+        cell_data={"gmsh:physical": [np.ones(len(cells), dtype=int), np.array([4])]},
+        file_format="gmsh22",
+    )
+    assert vertices(read(COMM, path), {"tag": 4}) == sorted(top[0].tolist())
+
+
 def test_groups_of_a_gmsh_file(tmp_path):
     """Physical groups are vertex sets by name, and by number below the cells' dimension."""
     path = write(
@@ -255,9 +318,10 @@ def test_groups_of_a_medit_file(tmp_path):
     assert vertices(body, {"tag": 3}) == [0, 3]
 
 
-def test_reads_what_dolfinx_writes(tmp_path):
+@pytest.mark.parametrize("cell", CELLS[3])
+def test_reads_what_dolfinx_writes(cell, tmp_path):
     """XDMF with HDF5 data: cell and facet tags of a mesh written by DOLFINx."""
-    body = box(COMM, (2.0, 1.0, 1.0), (4, 1, 2))
+    body = box(COMM, (2.0, 1.0, 1.0), (4, 1, 2), cell)
     msh = body.mesh
     cells = np.arange(len(body.file_cells), dtype=np.int32)
     right = compute_midpoints(msh, 3, cells)[:, 0] > 1
@@ -274,8 +338,9 @@ def test_reads_what_dolfinx_writes(tmp_path):
     COMM.barrier()
 
     back = read(COMM, path)
-    points, simplices, tags = in_file_order(back)
-    np.testing.assert_array_equal(tags, 1 + (points[simplices].mean(axis=1)[:, 0] > 1))
+    assert back.num_cells == body.num_cells
+    points, cells, tags = in_file_order(back)
+    np.testing.assert_array_equal(tags, 1 + (points[cells].mean(axis=1)[:, 0] > 1))
     assert vertices(back, {"tag": 9}) == np.flatnonzero(points[:, 0] == 2.0).tolist()
 
 
@@ -401,10 +466,30 @@ REFUSED = {
     "curved": (
         np.arange(30.0).reshape(10, 3),
         [("tetra10", np.arange(10).reshape(1, 10))],
-        "cells of type tetra10; straight triangles",
+        "cells of type tetra10; straight triangles or quadrilaterals .2D., tetrahedra or hexah",
+    ),
+    "mixed faces": (
+        np.array([[0, 0], [1, 0], [1, 1], [0, 1], [2, 0.5]]),
+        [("quad", np.array([[0, 1, 2, 3]])), ("triangle", np.array([[1, 4, 2]]))],
+        "a mix of cells of type quad, triangle; straight",
+    ),
+    "crossed": (
+        np.array([[0, 0], [1, 0], [1, 1], [0, 1.0]]),
+        [("quad", np.array([[0, 1, 3, 2]]))],
+        "1 cell is not convex, or list their vertices in another order than the format's .the",
+    ),
+    "pointed": (
+        np.array([[0, 0], [1, 0], [2, 0], [0, 1.0]]),
+        [("quad", np.array([[0, 1, 2, 3]]))],
+        "1 cell has no volume at a vertex .the first is cell 0",
+    ),
+    "folded quadrilaterals": (
+        np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0.1, 0.2], [0.1, 0.8]]),
+        [("quad", np.array([[0, 1, 2, 3], [1, 4, 5, 2]]))],
+        "cells 0 and 1 .from 0. lie on the same side",
     ),
     "no cells": (TIP[:2], [("line", np.array([[0, 1]]))], "has no cells"),
-    "surface": (TIP[:3], [("triangle", np.array([[0, 1, 2]]))], "is a surface of triangles"),
+    "surface": (TIP[:3], [("triangle", np.array([[0, 1, 2]]))], "is a surface in space; fill it"),
 }
 
 

@@ -52,10 +52,16 @@ def test_orders_of_refinement_in_3d():
 
 
 @pytest.mark.serial
-@pytest.mark.parametrize(("d", "cell", "degree"), refinement.ELEMENTS)
+@pytest.mark.parametrize(
+    ("d", "cell", "degree"),
+    # Cubic elements in 3D take minutes; the study has them.
+    [element for element in refinement.ELEMENTS if element[0] == 2 or element[2] < 3],
+)
 def test_orders_of_refinement_by_element(d, cell, degree):
     """u in L2: k + 1, in H1: k; S and Λ at their points: k or more."""
     levels = refinement.ELEMENT_LEVELS[d]
+    if d == 3:
+        levels = levels[:3]
     cases = [
         refinement.case("symmetric", d, "static", "condensed", n, cell=cell, degree=degree)
         for n in levels

@@ -76,7 +76,7 @@ def test_scenes_have_the_displacement_methods_positions():
 def test_plates_agree_unless_they_may_not():
     """Signed stretches see an inverted cell as the displacement method does, √(FᵀF) does not."""
     cases = [
-        equivalence.plate_case("inverted", name, 0.0)
+        equivalence.plate_case("inverted", name)
         for name in ("symmetric", "gauss-newton", "hu-washizu")
     ]
     cases += [equivalence.plate_case("compliant", "symmetric", c) for c in (1e-3, 1e-4)]
@@ -86,6 +86,27 @@ def test_plates_agree_unless_they_may_not():
     assert records[0]["difference"] < 1e-9 < 1e-2 < records[2]["difference"]
     assert equivalence.order_of_compliance(records[3:]) == pytest.approx(1.0, abs=0.01)
     assert len(equivalence.verdict([records[0] | {"formulation": "hu-washizu"}])) == 1
+    show(equivalence.EQUIVALENCE, records)
+
+
+@pytest.mark.serial
+def test_plates_of_other_elements_agree_with_one_rule():
+    """A finer rule differs unless the coarser is exact, and so does a poorer dilatation."""
+    quadrilateral, triangle = ("quadrilateral", 1), ("triangle", 2)
+    assert quadrilateral == equivalence.EXACT
+    cases = [
+        equivalence.plate_case("element", "symmetric", element=quadrilateral),
+        equivalence.plate_case("element", "symmetric", element=triangle),
+        equivalence.plate_case("element", "mean-dilatation", element=quadrilateral),
+        equivalence.plate_case("finer rule", "symmetric", element=triangle),
+    ]
+    records = [case | equivalence.compute(COMM, case) for case in cases]
+    assert equivalence.verdict(records) == []
+    differences = [r["difference"] for r in records]
+    assert max(differences[:2]) < 1e-12 < 1e-6 < min(differences[2:])
+    assert len(equivalence.verdict([records[3] | {"difference": 1e-12}])) == 1
+    case = equivalence.plate_case("finer rule", "symmetric", element=quadrilateral)
+    assert equivalence.compute(COMM, case)["difference"] < 1e-12
     show(equivalence.EQUIVALENCE, records)
 
 

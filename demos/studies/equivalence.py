@@ -2,9 +2,15 @@
 
 With P1 displacements and fields that are constant on each cell, S = S(F) can be met on each cell,
 and eliminating S and its multiplier leaves the displacement method. So positions must agree to
-rounding error: on every scene, mesh and step, whatever the formulation. Two cases in which they do
-not, on a plate whose middle vertex is pushed aside:
+rounding error: on every scene, mesh and step, whatever the formulation. With other elements
+S = S(F) is met at the points of the rule that integrates the energy, and positions are those of
+the displacement method with that rule. Cases in which they are not, on a plate whose middle vertex
+is pushed aside:
 
+- finer rule: the displacement method integrates Ψ with two degrees more, and they differ by what
+  the formulation's rule misses. That is nothing with Q1 on rectangles, where det F is bilinear.
+- `mean-dilatation` on other elements than P1 simplices: its dilatation is of lower degree than
+  det F, on purpose, and may not follow it.
 - inverted: pushed so far that triangles turn over. `hu-washizu` and `log-strain` know F by FᵀF
   alone, which does not see the sign of det F; theirs is another energy there.
 - compliant: -|Y|²/(2 κ) added to the energy of `symmetric`, as a regularisation. S = S(F) is then
@@ -27,7 +33,13 @@ from dolfinx import fem, mesh
 from demos import scene as scenes
 from demos.simulation import Simulation, build_body
 from demos.studies.study import Parameters, Record, Study
-from forms import FORMULATIONS, StableNeoHookean, deformation_gradient
+from forms import (
+    FORMULATIONS,
+    StableNeoHookean,
+    deformation_gradient,
+    measure,
+    quadrature_degree,
+)
 from meshes import box
 from solvers import ConvergenceError, MixedProblem
 
@@ -43,10 +55,16 @@ AGREEMENT = 1e-9
 UNSIGNED = ("hu-washizu", "log-strain")
 """Formulations that do not see the sign of det F."""
 
+MEANS = ("mean-dilatation",)
+"""Formulations with a field of lower degree than F, but on P1 simplices."""
+
 PLATE = StableNeoHookean(E=1e5, nu=0.3)
 COMPLIANCES = (1e-2, 1e-3, 1e-4, 1e-5)  # μ / κ
-PUSHES = {"inverted": (0.4, 0.15), "compliant": (0.1, 0.05)}  # of the middle of a plate of 1 m [m]
+PUSH, FAR_PUSH = (0.1, 0.05), (0.4, 0.15)  # of the middle of a plate of 1 m [m]
 PUSH_STEPS = 8
+ELEMENTS = (("triangle", 2), ("triangle", 3), ("quadrilateral", 1), ("quadrilateral", 2))
+EXACT = ("quadrilateral", 1)  # the rule is, for this material on rectangles
+FINER = 2  # degrees more of the rule
 
 
 def grid(quick: bool) -> list[Parameters]:
@@ -61,7 +79,11 @@ def grid(quick: bool) -> list[Parameters]:
         # on the others.
         if refinement < 1 or FORMULATIONS[formulation].kernel is not None
     ]
-    cases += [plate_case("inverted", formulation, 0.0) for formulation in others]
+    cases += [plate_case("inverted", formulation) for formulation in others]
+    for element in ELEMENTS[::2] if quick else ELEMENTS:
+        cases += [plate_case("element", name, element=element) for name in others]
+        if element != EXACT:
+            cases.append(plate_case("finer rule", "symmetric", element=element))
     return cases + [plate_case("compliant", "symmetric", c) for c in COMPLIANCES]
 
 
@@ -76,9 +98,18 @@ def scene_case(name: str, formulation: str, refinement: int, steps: int) -> Para
     }
 
 
-def plate_case(kind: str, formulation: str, compliance: float) -> Parameters:
-    """The parameters of a case of the plate."""
-    return {"kind": kind, "formulation": formulation, "compliance": compliance}
+def plate_case(
+    kind: str,
+    formulation: str,
+    compliance: float = 0.0,
+    element: tuple[str, int] = ("triangle", 1),
+) -> Parameters:
+    """The parameters of a case of the plate; an element is a cell and the displacement's degree."""
+    cell, degree = element
+    return {
+        **{"kind": kind, "formulation": formulation, "compliance": compliance},
+        **{"cell": cell, "degree": degree},
+    }
 
 
 def compute(comm: MPI.Comm, parameters: Parameters) -> Record:
@@ -122,10 +153,12 @@ def _difference(comm: MPI.Comm, u: fem.Function[Any], v: fem.Function[Any]) -> f
 
 
 def _on_a_plate(comm: MPI.Comm, parameters: Parameters) -> Record:
-    msh = box(comm, (1.0, 1.0), (4, 4)).mesh
-    baseline = _Plate(msh, BASELINE)
-    plate = _Plate(msh, parameters["formulation"], parameters["compliance"] / PLATE.mu)
-    push = np.array(PUSHES[parameters["kind"]])
+    kind, degree = parameters["kind"], parameters["degree"]
+    msh = box(comm, (1.0, 1.0), (4, 4), parameters["cell"]).mesh
+    baseline = _Plate(msh, BASELINE, degree, finer=FINER if kind == "finer rule" else 0)
+    compliance = parameters["compliance"] / PLATE.mu
+    plate = _Plate(msh, parameters["formulation"], degree, compliance)
+    push = np.array(FAR_PUSH if kind == "inverted" else PUSH)
     u, v = plate.fields[0], baseline.fields[0]
     try:
         for k in range(1, PUSH_STEPS + 1):
@@ -141,10 +174,25 @@ def _on_a_plate(comm: MPI.Comm, parameters: Parameters) -> Record:
 class _Plate:
     """A square of 1 m with its edges held and its middle pushed aside."""
 
-    def __init__(self, msh: mesh.Mesh, formulation: str, compliance: float = 0.0) -> None:
-        """Build it at rest, with a compliance [1/Pa] in series for `symmetric`."""
+    def __init__(
+        self,
+        msh: mesh.Mesh,
+        formulation: str,
+        degree: int,
+        compliance: float = 0.0,
+        finer: int = 0,
+    ) -> None:
+        """Build it at rest.
+
+        Args:
+            msh: The mesh.
+            formulation: A name in `forms.FORMULATIONS`.
+            degree: Of the displacement.
+            compliance: In series [1/Pa], for `symmetric`.
+            finer: What to add to the degree of the rule, for the displacement method.
+        """
         form = FORMULATIONS[formulation]
-        self.fields = form.fields(msh)
+        self.fields = form.fields(msh, degree)
         V = self.fields[0].function_space
         density = form.density(*self.fields, PLATE)
         if compliance:
@@ -155,7 +203,9 @@ class _Plate:
         )
         self._held = fem.Function(V)
         bc = fem.dirichletbc(self._held, dofs)
-        self._problem = MixedProblem(density * ufl.dx, self.fields, [bc])
+        rule = quadrature_degree(V) + finer
+        dx = ufl.dx(degree=rule) if finer else measure(self.fields[0])
+        self._problem = MixedProblem(density * dx, self.fields, [bc])
 
     def solve(self, push: Array) -> None:
         """Put the middle vertex `push` [m] from where it was at rest. Collective."""
@@ -201,6 +251,11 @@ def table(records: Sequence[Record]) -> list[str]:
     for r in _of_kind(records, "inverted"):
         shown = r["failure"] or f"{r['difference']:.1e}, {r['inverted']} inverted"
         lines.append(f"{r['formulation']:<16} {shown}")
+    lines += ["", "plate of other elements, fields at the points of the rule:"]
+    for r in _of_kind(records, "element") + _of_kind(records, "finer rule"):
+        name = r["formulation"] if r["kind"] == "element" else "against a finer rule"
+        element = f"{r['cell']}, degree {r['degree']}"
+        lines.append(f"{element:<24} {name:<20} {r['failure'] or format(r['difference'], '.1e')}")
     rows = _of_kind(records, "compliant")
     lines += ["", "plate with a compliance in series (-|Y|²/(2 κ)):"]
     lines += [f"μ/κ = {r['compliance']:.0e}   {r['failure'] or r['difference']:.3e}" for r in rows]
@@ -223,8 +278,10 @@ def verdict(records: Sequence[Record]) -> list[str]:
         if r["failure"]:
             lines.append(f"{name}: {r['failure']}")
             continue
-        differs = r["kind"] == "compliant" or (
-            r["kind"] == "inverted" and r["formulation"] in UNSIGNED
+        differs = (
+            r["kind"] in ("compliant", "finer rule")
+            or (r["kind"] == "inverted" and r["formulation"] in UNSIGNED)
+            or (r["kind"] == "element" and r["formulation"] in MEANS)
         )
         if differs != (r["difference"] > AGREEMENT):
             side = "more" if differs else "less"
