@@ -92,6 +92,9 @@ DIVERGING = 100.0
 NEAR_ROUND_OFF = 100.0
 """A residual that stagnates below this multiple of the estimated rounding error has converged."""
 
+FALLEN = 1e-3
+"""How far below its largest value it must be for that where a line search may cut steps."""
+
 ENERGY_RESOLVED = 1e-9
 """Relative change of the energy below which a line search on it sees rounding error."""
 

@@ -397,6 +397,9 @@ class MixedProblem:
             growth = max(1.0, norm / self._residuals[0])
             snes.setDivergenceTolerance(min(self._growth_limit, defaults.DIVERGING * growth))
         near = norm <= defaults.NEAR_ROUND_OFF * self._floor
+        if snes.getLineSearch().getType() != PETSc.SNESLineSearch.Type.BASIC:
+            # One that cuts its steps to nothing stagnates too, where it began.
+            near = near and norm < defaults.FALLEN * max(self._residuals, default=0.0)
         if near and iteration > 1 and norm > self._residuals[-1] / 2:
             # Rounding error, as it no longer falls; the next iteration will be the last.
             snes.setTolerances(atol=defaults.NEAR_ROUND_OFF * self._floor)

@@ -9,6 +9,7 @@ import pytest
 import ufl
 from dolfinx import fem
 
+from demos.studies.bar import bar
 from forms import BackwardEuler, displacement_field, mixed_fields, right_stretch
 from solvers import ConvergenceError, MixedProblem
 from tests.states import small_mesh
@@ -69,3 +70,12 @@ def test_a_start_that_is_no_state_is_reported(solver):
     problem = MixedProblem(ufl.inner(u, u) * ufl.dx, (u,), solver=solver)
     with pytest.raises(ConvergenceError, match="DIVERGED_FUNCTION_NANORINF"):
         problem.solve()
+
+
+def test_a_line_search_that_gets_nowhere_has_not_converged():
+    """However small the residual: here it is that of a thrown bar of very stiff and soft parts."""
+    run = bar(COMM, "displacement", n=3, E=1e6, contrast=1e9, h=1.0, support="free", compiled=False)
+    run.step()
+    (result,) = run.results
+    assert result.residuals[-1] > 0.9 * result.residuals[0]
+    assert run.failure == result.reason == "DIVERGED_LINE_SEARCH"

@@ -1,7 +1,8 @@
 """`mixed-fem study timestep`: the order of the time schemes in the step h.
 
-A soft bar in 2D falls from rest under gravity for T = 0.32 s. Displacement, velocity and total
-energy at T are compared with those of a much finer step on the same mesh.
+A bar in 2D falls from rest under gravity for T = 0.32 s; it is so soft that the steps resolve its
+vibrations. Displacement, velocity and total energy at T are compared with those of a much finer
+step on the same mesh.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from demos.studies.study import Parameters, Record, Study
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-END, E = 0.32, 1e6  # [s], [Pa]
+END, E = 0.32, 2e4  # [s], [Pa]
 QUANTITIES = ("u", "v", "energy")
 ORDERS = {"backward-euler": 1}
 """Of each scheme, in every quantity."""
@@ -129,13 +130,13 @@ def table(records: Sequence[Record]) -> list[str]:
 
 
 def verdict(records: Sequence[Record]) -> list[str]:
-    """Orders more than 0.15 from what is expected, which a finite reference lifts a little."""
+    """Orders more than 0.1 from what is expected, which a finite reference lifts a little."""
     return [
         f"{scheme}, {formulation}: {name} has order {found[name]:.2f}, expected {ORDERS[scheme]}"
         for (scheme, formulation), levels in errors(records).items()
         for found in [orders(levels)]
         for name in QUANTITIES
-        if not abs(found[name] - ORDERS[scheme]) < 0.15
+        if not abs(found[name] - ORDERS[scheme]) < 0.1
     ] + [f"{r['scheme']}, {r['steps']} steps: {r['failure']}" for r in records if r["failure"]]
 
 
