@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import importlib.util
+from pathlib import Path
+
 from mpi4py import MPI
 from petsc4py import PETSc
 
@@ -9,6 +12,7 @@ import numpy as np
 import pytest
 from dolfinx import fem, mesh
 
+from demos.cli import main
 from demos.studies import Record, Study
 from forms.discrete import MATERIALS as WITNESSED
 from solvers import MixedProblem
@@ -105,6 +109,16 @@ def dense(A: PETSc.Mat) -> np.ndarray:
     rows = np.zeros((last - first, A.size[1]))
     rows[np.repeat(np.arange(last - first), np.diff(indptr)), columns] = values
     return np.vstack(A.comm.tompi4py().allgather(rows))
+
+
+def run_quick(name: str, folder: Path) -> int:
+    """`mixed-fem study NAME --quick`: its exit code; it has written a table and a figure."""
+    code = main(["study", name, "--quick", "--out", str(folder)])
+    found = {path.name for path in folder.iterdir() if path.is_file() and path.stat().st_size}
+    assert {f"{name}.csv", f"{name}.json"} <= found
+    if importlib.util.find_spec("matplotlib"):
+        assert {f"{name}.pdf", f"{name}.png"} <= found
+    return code
 
 
 def show(study: Study, records: list[Record]) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from demos.studies import beams, benchmark, cook, equivalence, locking
-from tests.states import show
+from tests.states import run_quick, show
 
 COMM = MPI.COMM_WORLD
 
@@ -136,3 +136,9 @@ def test_triangles_lock():
     assert locking.verdict([*records[:6], records[6] | {"ratio": 0.9}])
     assert locking.verdict([records[0] | {"failure": "DIVERGED_MAX_IT"}])
     show(locking.LOCKING, records)
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("name", ["benchmark", "locking", "equivalence"])
+def test_quick_grids_hold(name, tmp_path):
+    assert run_quick(name, tmp_path) == 0

@@ -7,8 +7,8 @@ from mpi4py import MPI
 import pytest
 
 from demos.cli import main
-from demos.studies import preconditioner, scaling
-from tests.states import show
+from demos.studies import cost, preconditioner, scaling
+from tests.states import run_quick, show
 
 COMM = MPI.COMM_WORLD
 
@@ -68,6 +68,20 @@ def test_scaling_starts_ranks():
     one, two = (case | scaling.compute(COMM, case) for case in cases)
     assert one["failure"] == two["failure"] == ""
     assert one["newton"] == two["newton"]
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("name", ["cost", "preconditioner", "scaling"])
+def test_quick_grids(name, tmp_path, monkeypatch):
+    """On coarser meshes than in a measurement; 1 if a time or a count falls short of the claims."""
+    pytest.importorskip("numba")
+    monkeypatch.setattr(cost, "QUICK_SIZES", {2: 2, 3: 2})
+    monkeypatch.setattr(cost, "BOTH_MATERIALS_AT", 3)
+    monkeypatch.setattr(preconditioner, "MESHES", (2, 4))
+    monkeypatch.setattr(preconditioner, "COARSE", 2)
+    monkeypatch.setattr(scaling, "QUICK_STRONG", 3)
+    monkeypatch.setattr(scaling, "QUICK_WEAK", 2)
+    assert run_quick(name, tmp_path) in (0, 1)
 
 
 @pytest.mark.mpi
