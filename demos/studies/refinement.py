@@ -33,6 +33,7 @@ from meshes import CELLS, box
 from solvers import SOLVERS, ConvergenceError, MixedProblem
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 Array = npt.NDArray[np.float64]
@@ -308,8 +309,10 @@ def draw(records: Sequence[Record], figure: Figure) -> None:
         if (key[0], key[3]) == (records[0]["formulation"], records[0]["solver"])
     }
     dimensions = sorted({key[1] for key in shown})
-    figure.set_size_inches(4.5 * (len(dimensions) + 1), 4.0)
+    kinds = [cell for d in dimensions for cell in CELLS[d]]
+    figure.set_size_inches(4.5 * (len(dimensions) + 1) + 1.5, 4.0)
     *plots, last = figure.subplots(1, len(dimensions) + 1)
+    levels: dict[Axes, set[int]] = {plot: set() for plot in (*plots, last)}
     for (formulation, d, motion, _, cell, degree), done in shown.items():
         if not done:
             continue
@@ -317,23 +320,31 @@ def draw(records: Sequence[Record], figure: Figure) -> None:
         orders_of = expected(degree)
         if (cell, degree) == (CELLS[d][0], 1):
             plot = plots[dimensions.index(d)]
-            style = "o-" if motion == "static" else "s--"
+            levels[plot] |= {r["cells"] for r in done}
+            style = {"ls": "-", "marker": "o", "ms": 4}
+            if motion == "dynamic":  # on top of the others
+                style = {"ls": "none", "marker": "s", "ms": 8, "mfc": "none"}
             for k, (name, order) in enumerate(orders_of.items()):
                 values = [r[name] for r in done]
                 label = f"{TITLES[name]}, {motion}"
-                plot.loglog(h, values, style, ms=4, color=f"C{k}", label=label)
+                plot.loglog(h, values, color=f"C{k}", label=label, **style)
                 plot.loglog(h, 0.7 * values[-1] * (h / h[-1]) ** order, "k:", lw=0.7)
             plot.set_title(f"{d}D, {formulation}, degree 1; dotted: orders expected", fontsize=9)
         if motion == "static":
             values = [r["u_L2"] for r in done]
-            style = "o-" if cell in (CELLS[2][0], CELLS[3][0]) else "s--"
-            last.loglog(h, values, style, ms=4, label=f"{cell}, degree {degree}")
+            levels[last] |= {r["cells"] for r in done}
+            style = {"color": f"C{kinds.index(cell)}", "marker": "osv^"[degree - 1], "ms": 4}
+            last.loglog(h, values, label=f"{cell}, degree {degree}", **style)
             last.loglog(h, 0.7 * values[-1] * (h / h[-1]) ** orders_of["u_L2"], "k:", lw=0.7)
     last.set_title("u in L2, static, by element", fontsize=9)
-    for plot in (*plots, last):
+    for plot, cells in levels.items():
+        plot.set_xticks([1 / n for n in cells], [f"1/{n}" for n in cells])
+        plot.minorticks_off()
         plot.set_xlabel("mesh size [m]")
         plot.grid(alpha=0.3)
-        if plot.lines:
+        if plot is last:
+            plot.legend(fontsize=7, loc="center left", bbox_to_anchor=(1.02, 0.5))
+        elif plot.lines:
             plot.legend(fontsize=7)
     plots[0].set_ylabel("error")
 
