@@ -205,11 +205,11 @@ def draw(records: Sequence[Record], figure: Figure) -> None:
     shape = rows_a_body * len(bodies), columns
     figure.set_size_inches(0.8 + 2.2 * shape[1], 2.4 * shape[0])
     plots = figure.subplots(*shape, squeeze=False, sharey=True)
-    for plot in plots.ravel()[len(methods) * len(bodies) :]:
-        plot.set_visible(False)
     for i, body in enumerate(bodies):
         levels = sorted({r["cells"] for r in records if r["body"] == body})
         here = plots[i * rows_a_body : (i + 1) * rows_a_body]
+        for plot in here.ravel()[len(methods) :]:
+            plot.set_visible(False)
         for row in here:
             row[0].set_ylabel(f"{TITLES[body]}\ntip / reference", fontsize=8)
         for plot, method in zip(here.ravel(), methods, strict=False):

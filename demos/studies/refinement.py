@@ -51,10 +51,7 @@ LEVELS = {2: (4, 8, 16, 32), 3: (2, 4, 8, 16)}
 QUICK_LEVELS = {2: (4, 8, 16, 32), 3: (2, 4, 8)}
 INEXACT_LEVELS = {2: (2, 4, 8, 16), 3: (2, 4, 8)}
 
-ELEMENTS = (
-    *((2, cell, degree) for cell in CELLS[2] for degree in (1, 2, 3)),
-    *((3, cell, degree) for cell in CELLS[3] for degree in (1, 2, 3)),
-)
+ELEMENTS = tuple((d, cell, degree) for d in (2, 3) for cell in CELLS[d] for degree in (1, 2, 3))
 """Dimension, cell and degree of the displacement, of the static series of `symmetric`."""
 
 ELEMENT_LEVELS = {2: (2, 4, 8, 16), 3: (1, 2, 4, 8)}
