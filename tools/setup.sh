@@ -118,11 +118,11 @@ check_compiler() {
   # shellcheck disable=SC2064,SC2086  # out is known now; CC may hold options
   trap "rm -f '$out'" RETURN EXIT
   # shellcheck disable=SC2086
-  printf '#include <math.h>\ndouble f(double x) { return sqrt(x); }\n' |
-    $cc -shared -fPIC -x c -o "$out" - 2>/dev/null ||
+  $cc -shared -fPIC -x c -o "$out" - 2>/dev/null \
+    <<<$'#include <math.h>\ndouble f(double x) { return sqrt(x); }' ||
     die "no C compiler, which forms need: '$cc' does not compile; install gcc (Debian: build-essential) or name one, CC=..."
   # shellcheck disable=SC2086
-  printf '#include <Python.h>\n' | $cc -I"$include" -fsyntax-only -x c - 2>/dev/null ||
+  $cc -I"$include" -fsyntax-only -x c - 2>/dev/null <<<'#include <Python.h>' ||
     die "no Python.h in $include, which forms need; install the headers of $python (Debian: python3-dev)"
 }
 

@@ -339,10 +339,10 @@ def draw(records: Sequence[Record], figure: Figure) -> None:
         plot.minorticks_off()
         plot.set_xlabel("mesh size [m]")
         plot.grid(alpha=0.3)
-        if plot is last:
-            plot.legend(fontsize=7, loc="center left", bbox_to_anchor=(1.02, 0.5))
-        elif plot.lines:
+        if plot.lines:
             plot.legend(fontsize=7)
+    if last.lines:  # beside the plot, which it would fill
+        last.legend(fontsize=7, loc="center left", bbox_to_anchor=(1.02, 0.5))
     plots[0].set_ylabel("error")
 
 
