@@ -104,9 +104,10 @@ def check(raw: RawMesh) -> None:
     signs = np.sign(jacobians)
     turned = np.flatnonzero((signs != signs[:, :1]).any(axis=1))
     if len(turned):
-        noun = "cells are" if len(turned) > 1 else "cell is"
+        are = "cells are" if len(turned) > 1 else "cell is"
+        list_their = "list their" if len(turned) > 1 else "lists its"
         raise MeshError(
-            f"{len(turned)} {noun} not convex, or list their vertices in another order than the "
+            f"{len(turned)} {are} not convex, or {list_their} vertices in another order than the "
             f"format's (the first is cell {turned[0]}, from 0)"
         )
     _check_facets(raw)

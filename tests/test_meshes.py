@@ -476,7 +476,7 @@ REFUSED = {
     "crossed": (
         np.array([[0, 0], [1, 0], [1, 1], [0, 1.0]]),
         [("quad", np.array([[0, 1, 3, 2]]))],
-        "1 cell is not convex, or list their vertices in another order than the format's .the",
+        "1 cell is not convex, or lists its vertices in another order than the format's .the",
     ),
     "pointed": (
         np.array([[0, 0], [1, 0], [2, 0], [0, 1.0]]),

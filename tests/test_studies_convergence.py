@@ -35,6 +35,20 @@ def test_cost_of_a_small_case():
     assert lines[-1].split()[0] == "1e+06"
     failed = records[1] | {"projected_failure": "DIVERGED_MAX_IT", "mixed_failure": "DIVERGED_DTOL"}
     assert cost.classical(failed) == "backtracking"
+    fine = {"n": 16, "mixed_seconds": [1.0, 1.0], "mixed_iterations": [4, 4], "mixed_local": 2e-6}
+    fine |= {"backtracking_seconds": [2.0, 2.0], "backtracking_iterations": [10, 10]}
+    first, last = (records[0] | fine | {"tetrahedra": n} for n in (50_000, 100_000))
+    last |= {"mixed_seconds": [4.0, 4.0]}
+    numbers = ("1.25", "2.00 µs", "5.00", "2.00 µs", "2.00 times", "DIVERGED_DTOL, displacement")
+    for number, line in zip(numbers, cost.verdict([first, last, failed]), strict=True):
+        assert number in line
+    many = {f"{v}_iterations": [9, 9] for v in cost.VARIANTS[1:]}
+    slow = records[1] | {"mixed_seconds": [90.0, 90.0]}
+    (line,) = cost.verdict([slow | many])
+    assert "0.0 times faster in the median, not 3" in line
+    few = {f"{v}_iterations": [2, 2] for v in cost.VARIANTS[1:]}
+    (line,) = cost.verdict([slow | few])
+    assert "times slower, more than 1.2" in line
     assert "fails at step 3" in cost.table([records[0], failed])[-1]
     show(cost.COST, records)
 

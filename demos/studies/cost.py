@@ -33,6 +33,12 @@ ONE_CLASSICAL_STEP_FROM = 26  # cells across: it has some thirty iterations, for
 QUICK_SIZES = {8: 10, 12: 6, 16: 4}
 BOTH_MATERIALS_AT = 16
 
+ITERATION = 1.15  # of a mixed iteration by a displacement iteration, on that mesh
+LOCAL = 1e-6  # [s], of work in a cell on one core
+GROWTH = 1.3  # of the cost of a mixed iteration per tetrahedron
+MANY, FASTER = 8, 3.0  # displacement iterations a step, and how many times faster mixed is there
+SLOWER = 1.2  # where the displacement takes fewer
+
 
 def grid(quick: bool) -> list[Parameters]:
     """Meshes at one stiffness and step, then stiffnesses and steps on one mesh."""
@@ -155,6 +161,16 @@ def classical(record: Record) -> str:
     return min(VARIANTS[1:], key=lambda variant: _per_step(record, variant))
 
 
+def _ratio(record: Record) -> float:
+    """Seconds of a mixed iteration over those of a displacement iteration."""
+    return _per_iteration(record, "mixed") / _per_iteration(record, "backtracking")
+
+
+def _faster(record: Record) -> float:
+    """How many times faster the mixed Newton gets through the steps than the displacement's."""
+    return _per_step(record, classical(record)) / _per_step(record, "mixed")
+
+
 def table(records: Sequence[Record]) -> list[str]:
     """An iteration and a step on each mesh, then iterations and seconds over the grid."""
     lines = [
@@ -168,12 +184,17 @@ def table(records: Sequence[Record]) -> list[str]:
     for r in (r for r in records if r["kind"] == "mesh"):
         for variant in VARIANTS[:2]:
             lines.append(_mesh_line(r, variant))
-        iteration = _per_iteration(r, "mixed") / _per_iteration(r, "backtracking")
+        iteration = _ratio(r)
         step = _per_step(r, "backtracking") / _per_step(r, "mixed")
         lines.append(
             f"{'':>31} mixed / displacement: an iteration {iteration:.2f}, a step 1/{step:.1f}"
         )
-    lines += _growth([r for r in records if r["kind"] == "mesh"])
+    if found := _growth(records):
+        first, last, (mixed, classic, krylov) = found
+        lines.append(
+            f"{'':>31} from {first['tetrahedra']} to {last['tetrahedra']}, a tetrahedron: mixed "
+            f"{mixed:.2f}, displacement {classic:.2f}, CG its {krylov:.2f} times"
+        )
     lines += [
         "",
         "Newton iterations and seconds a step, mixed against the better displacement variant",
@@ -182,8 +203,7 @@ def table(records: Sequence[Record]) -> list[str]:
         f"{'E [Pa]':>8} {'h [s]':>6}  {'mixed':>18}  {'displacement':>20}  {'faster':>6}",
     ]
     for r in (r for r in records if r["kind"] == "grid"):
-        best = classical(r)
-        faster = _per_step(r, best) / _per_step(r, "mixed")
+        best, faster = classical(r), _faster(r)
         lines.append(
             f"{r['E']:>8.0e} {r['h']:>6g}  {_cell(r, 'mixed'):>18}  "
             f"{_cell(r, best):>18} {best[0]}  {faster:>6.1f}"
@@ -191,24 +211,24 @@ def table(records: Sequence[Record]) -> list[str]:
     return lines
 
 
-def _growth(meshes: Sequence[Record]) -> list[str]:
+def _growth(records: Sequence[Record]) -> tuple[Record, Record, list[float]] | None:
     """How an iteration's cost per tetrahedron grows from 40k tetrahedra to the finest mesh.
 
-    The displacement's beside it: what both have in common is the memory of the machine.
+    Returns:
+        Both ends, and what the cost of the mixed iteration, that of the displacement's and the
+        number of linear iterations are multiplied by; None without two meshes.
     """
-    rows = [r for r in meshes if r["material"] == "stable-neo-hookean" and r["tetrahedra"] > 4e4]
+    rows = [
+        r
+        for r in records
+        if (r["kind"], r["material"]) == ("mesh", "stable-neo-hookean") and r["tetrahedra"] > 4e4
+    ]
     if len(rows) < 2:
-        return []
+        return None
     first, last = (choose(rows, key=lambda r: r["tetrahedra"]) for choose in (min, max))
     tetrahedra = last["tetrahedra"] / first["tetrahedra"]
-    mixed, classic = (
-        _per_iteration(last, v) / _per_iteration(first, v) / tetrahedra for v in VARIANTS[:2]
-    )
-    krylov = _krylov(last, "mixed") / _krylov(first, "mixed")
-    return [
-        f"{'':>31} from {first['tetrahedra']} to {last['tetrahedra']}, a tetrahedron: mixed "
-        f"{mixed:.2f}, displacement {classic:.2f}, CG its {krylov:.2f} times"
-    ]
+    times = [_per_iteration(last, v) / _per_iteration(first, v) / tetrahedra for v in VARIANTS[:2]]
+    return first, last, [*times, _krylov(last, "mixed") / _krylov(first, "mixed")]
 
 
 def _krylov(record: Record, variant: str) -> float:
@@ -260,6 +280,42 @@ def _cell(r: Record, variant: str) -> str:
     return f"{np.mean(r[f'{variant}_iterations']):.1f} its {_per_step(r, variant):.3f} s"
 
 
+def verdict(records: Sequence[Record]) -> list[str]:
+    """Failures of the mixed Newton alone, and costs above what is claimed."""
+    lines, many = [], []
+    for r in (r for r in records if r["kind"] == "mesh"):
+        where = f"{r['tetrahedra']} tetrahedra, {r['material']}"
+        if r["n"] == BOTH_MATERIALS_AT and not _ratio(r) <= ITERATION:
+            lines.append(
+                f"{where}: a mixed iteration costs {_ratio(r):.2f} displacement iterations, more "
+                f"than {ITERATION:g}"
+            )
+        if r["mixed_local"] > LOCAL:
+            lines.append(f"{where}: {1e6 * r['mixed_local']:.2f} µs a cell, more than 1")
+    if (found := _growth(records)) and found[2][0] > GROWTH:
+        first, last, (mixed, _, _) = found
+        lines.append(
+            f"cost of a mixed iteration per tetrahedron: {mixed:.2f} times from "
+            f"{first['tetrahedra']} to {last['tetrahedra']}, more than {GROWTH:g}"
+        )
+    for r in (r for r in records if r["kind"] == "grid"):
+        best, where = classical(r), f"E = {r['E']:.0e} Pa, h = {r['h']:g} s"
+        if r[f"{best}_failure"]:
+            continue
+        if r["mixed_failure"]:
+            lines.append(f"{where}: mixed {r['mixed_failure']}, displacement gets through")
+        elif np.mean(r[f"{best}_iterations"]) >= MANY:
+            many.append(_faster(r))
+        elif not _faster(r) >= 1 / SLOWER:
+            lines.append(f"{where}: a step {1 / _faster(r):.2f} times slower, more than {SLOWER:g}")
+    if many and not _median(many) >= FASTER:
+        lines.append(
+            f"where the displacement takes {MANY} iterations or more: {_median(many):.1f} "
+            f"times faster in the median, not {FASTER:g}"
+        )
+    return lines
+
+
 def draw(records: Sequence[Record], figure: Figure) -> None:
     """Seconds a step over the mesh, and the speed-up over the grid."""
     figure.set_size_inches(9.0, 3.8)
@@ -274,8 +330,7 @@ def draw(records: Sequence[Record], figure: Figure) -> None:
     E, h = (sorted({r[name] for r in cells}) for name in ("E", "h"))
     faster = np.full((len(h), len(E)), np.nan)
     for r in cells:
-        ratio = _per_step(r, classical(r)) / _per_step(r, "mixed")
-        faster[h.index(r["h"]), E.index(r["E"])] = ratio
+        faster[h.index(r["h"]), E.index(r["E"])] = _faster(r)
     image = right.imshow(np.log10(faster), cmap="RdBu", vmin=-1.5, vmax=1.5, aspect="auto")
     for (i, j), ratio in np.ndenumerate(faster):
         right.text(j, i, f"{ratio:.1f}", ha="center", va="center")
@@ -292,4 +347,5 @@ COST = Study(
     compute=compute,
     table=table,
     draw=draw,
+    verdict=verdict,
 )
