@@ -1,6 +1,7 @@
 """The command line `mixed-fem`, also `python -m demos`.
 
-Exit codes: 0 done, 1 a solve failed or a comparison fell short, 2 bad input (one line on stderr).
+Exit codes: 0 done, 1 a solve failed or a comparison fell short, 2 bad input (one line on stderr),
+130 interrupted.
 """
 
 from __future__ import annotations
@@ -52,6 +53,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         if COMM.rank == 0:
             print("mixed-fem:", *str(error).splitlines(), file=sys.stderr)
         return 2
+    except KeyboardInterrupt:
+        if COMM.rank == 0:
+            print("mixed-fem: interrupted; what is written stays", file=sys.stderr, flush=True)
+        if COMM.size > 1:  # others may wait for this rank
+            COMM.Abort(130)
+        return 130
 
 
 def _list(_: argparse.Namespace) -> int:
@@ -120,8 +127,8 @@ def _parser() -> argparse.ArgumentParser:
     parser = _Parser(
         prog="mixed-fem",
         description="Mixed variational finite elements for elastic bodies in motion.",
-        epilog="Exit codes: 0 done, 1 a solve failed or a comparison fell short, 2 bad input. Runs "
-        "under mpiexec too.",
+        epilog="Exit codes: 0 done, 1 a solve failed or a comparison fell short, 2 bad input, 130 "
+        "interrupted. Runs under mpiexec too.",
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND", dest="name")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import json
 
 from mpi4py import MPI
@@ -90,3 +91,18 @@ def test_command_line(tmp_path, monkeypatch, capfd):
     monkeypatch.setattr(studies, "STUDIES", {"squares": Squares(stop_at=1).study})
     assert main(["study", "squares", "--fresh", *out]) == 130
     assert "1 of 4 cases are done" in COMM.bcast(capfd.readouterr().out)
+
+
+@pytest.mark.serial
+def test_ctrl_c_after_the_cases(tmp_path, monkeypatch, capfd):
+    """One line, and the cases stay."""
+
+    def interrupted(records):
+        raise KeyboardInterrupt
+
+    squares = Squares()
+    study = dataclasses.replace(squares.study, verdict=interrupted)
+    monkeypatch.setattr(studies, "STUDIES", {"squares": study})
+    assert main(["study", "squares", "--out", str(tmp_path)]) == 130
+    assert capfd.readouterr().err == "mixed-fem: interrupted; what is written stays\n"
+    assert go(Squares(), tmp_path).cached == 4
