@@ -28,7 +28,7 @@ from forms import (
 from forms.discrete import MATERIALS as WITNESSED
 from forms.discrete import Polar, State, symmetric_basis, symmetric_dofs
 from meshes import Body, box
-from meshes.raw import domain
+from meshes.raw import distribute
 from solvers import ConvergenceError, MixedProblem
 from solvers.layout import BlockLayout
 
@@ -119,10 +119,7 @@ def make_body(comm: MPI.Comm, name: str) -> Body:
         X, cells = renumbered_box()
     if comm.rank > 0:
         X, cells = np.empty((0, 3)), np.empty((0, 4), dtype=np.int64)
-    # singledispatch hides this overload from type checkers
-    partitioner = mesh.create_cell_partitioner(mesh.GhostMode.shared_facet, 2)  # type: ignore[call-arg]
-    straight = domain(mesh.CellType.tetrahedron)
-    msh = mesh.create_mesh(comm, cells.astype(np.int64), straight, X, partitioner)
+    msh = distribute(comm, mesh.CellType.tetrahedron, cells.astype(np.int64), X)
     local = np.arange(len(msh.topology.original_cell_index), dtype=np.int32)
     return Body(msh, mesh.meshtags(msh, 3, local, np.zeros(len(local), dtype=np.int32)))
 

@@ -15,10 +15,11 @@ from mpi4py import MPI
 import meshio
 import numpy as np
 import numpy.typing as npt
-from dolfinx import fem, mesh
+from dolfinx import fem
 from dolfinx.io import VTKFile
 
 from demos.simulation import Energies, Simulation
+from forms.points import is_simplicial
 from meshes import VTK_ORDER, Body
 from solvers import SolveResult
 
@@ -185,10 +186,10 @@ class _AtVertices:
 
 def _vtk_cells(body: Body) -> Array:
     """Vertices of the owned cells in the order of VTK, or sorted where any order will do."""
-    cells, kind = body.file_connectivity(), body.mesh.topology.cell_type
-    if kind in (mesh.CellType.triangle, mesh.CellType.tetrahedron):
+    cells = body.file_connectivity()
+    if is_simplicial(body.mesh):
         return np.sort(cells)
-    return cells[:, VTK_ORDER[kind]]
+    return cells[:, VTK_ORDER[body.mesh.topology.cell_type]]
 
 
 def _gather_vertices(body: Body, function: fem.Function[Any]) -> Array | None:

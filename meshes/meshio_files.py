@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from meshes.body import VTK_ORDER, MeshError
-from meshes.raw import CELLS, TAGGED, Integers, RawMesh, cell_kind, planar
+from meshes.raw import KINDS, TAGGED, Integers, RawMesh, cell_kind, planar
 
 # The files' own names for the region a cell belongs to, the most specific first.
 _REGION_KEYS = ("gmsh:physical", "medit:ref", "cell_tags", "name_to_read")
@@ -46,13 +46,13 @@ def load_meshio(path: Path) -> RawMesh:
     blocks = [i for i, block in enumerate(found.cells) if block.type == kind]
     cells = np.concatenate([found.cells[i].data for i in blocks]).astype(np.int64)
     # meshio has all formats' vertices in VTK's order.
-    cells = cells[:, VTK_ORDER[CELLS[kind]]]
+    cells = cells[:, VTK_ORDER[KINDS[kind]]]
     data = _region_data(found)
     tags = np.zeros(len(cells), dtype=np.int32)
     if data is not None:
         tags = np.concatenate([data[i] for i in blocks]).astype(np.int32)
     points = planar(np.asarray(found.points, dtype=np.float64), d)
-    raw = RawMesh(CELLS[kind], points, cells, tags)
+    raw = RawMesh(KINDS[kind], points, cells, tags)
 
     groups: dict[str | int, Integers] = {}
     names = {(int(dim), int(tag)): str(n) for n, (tag, dim) in found.field_data.items()}

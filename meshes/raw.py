@@ -5,25 +5,33 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from itertools import combinations
 
+from mpi4py import MPI
+
 import basix
 import basix.ufl
 import numpy as np
 import numpy.typing as npt
 import ufl
-from dolfinx.mesh import CellType, cell_dim
+from dolfinx.mesh import (
+    CellType,
+    GhostMode,
+    Mesh,
+    cell_dim,
+    create_cell_partitioner,
+    create_mesh,
+)
 
 from meshes.body import MeshError
 
-# Kinds of cells that a body may have, as meshio calls them.
-CELLS = {
+# Kinds of cells that a body may have, by meshio's names.
+KINDS = {
     "triangle": CellType.triangle,
     "quad": CellType.quadrilateral,
     "tetra": CellType.tetrahedron,
     "hexahedron": CellType.hexahedron,
 }
-SIMPLICES = (CellType.triangle, CellType.tetrahedron)
 # Entities that may carry a tag, with their dimension.
-TAGGED = {"vertex": 0, "line": 1, "triangle": 2, "quad": 2, "tetra": 3, "hexahedron": 3}
+TAGGED = {"vertex": 0, "line": 1} | {name: cell_dim(kind) for name, kind in KINDS.items()}
 _WANTED = "straight triangles or quadrilaterals (2D), tetrahedra or hexahedra (3D) are wanted"
 # Cells flatter than this, relative to the d-th power of their longest edge, have no volume.
 _FLAT = 1e-12
@@ -41,6 +49,11 @@ class RawMesh:
     tags: npt.NDArray[np.int32]  # (cells,)
     groups: dict[str | int, Integers] = field(default_factory=dict)
 
+    @property
+    def simplicial(self) -> bool:
+        """Whether the cells are triangles or tetrahedra."""
+        return self.cells.shape[1] == self.points.shape[1] + 1
+
 
 def domain(kind: CellType) -> ufl.Mesh:
     """Straight cells, as DOLFINx declares them for its own boxes."""
@@ -48,10 +61,19 @@ def domain(kind: CellType) -> ufl.Mesh:
     return ufl.Mesh(element)
 
 
+def distribute(
+    comm: MPI.Comm, kind: CellType, cells: Integers, points: npt.NDArray[np.float64]
+) -> Mesh[np.float64]:
+    """A mesh with one ghost layer of what each rank gives of it. Collective."""
+    # singledispatch hides this overload from type checkers
+    partitioner = create_cell_partitioner(GhostMode.shared_facet, 2)  # type: ignore[call-arg]
+    return create_mesh(comm, cells, domain(kind), points, partitioner)
+
+
 def cell_kind(kinds: set[str]) -> str:
     """The one kind of cell among the entities of a file."""
-    d = max((TAGGED[kind] for kind in kinds & set(CELLS)), default=0)
-    cells = {kind for kind in kinds & set(CELLS) if TAGGED[kind] == d}
+    d = max((TAGGED[kind] for kind in kinds & set(KINDS)), default=0)
+    cells = {kind for kind in kinds & set(KINDS) if TAGGED[kind] == d}
     foreign = sorted(kinds - set(TAGGED))
     if foreign or len(cells) > 1:
         mixed = "a mix of cells" if cells else "cells"
@@ -97,7 +119,7 @@ def check(raw: RawMesh) -> None:
     flat = np.flatnonzero((np.abs(jacobians) <= _FLAT).any(axis=1))
     if len(flat):
         noun = "cells have" if len(flat) > 1 else "cell has"
-        where = "" if raw.kind in SIMPLICES else " at a vertex"
+        where = "" if raw.simplicial else " at a vertex"
         raise MeshError(
             f"{len(flat)} {noun} no volume{where} (the first is cell {flat[0]}, from 0)"
         )
@@ -120,7 +142,7 @@ def _jacobians(raw: RawMesh) -> npt.NDArray[np.float64]:
     """
     corners = raw.points[raw.cells]
     d = raw.points.shape[1]
-    if raw.kind in SIMPLICES:
+    if raw.simplicial:
         pairs = list(combinations(range(d + 1), 2))
         edges = (corners[:, 1:] - corners[:, :1])[:, None]
     else:

@@ -11,7 +11,7 @@ from dolfinx import mesh
 
 from meshes.body import Body, MeshError
 from meshes.meshio_files import load_meshio
-from meshes.raw import RawMesh, check, domain
+from meshes.raw import RawMesh, check, distribute
 from meshes.xdmf_files import load_xdmf
 
 
@@ -52,13 +52,11 @@ def read(comm: MPI.Comm, path: str | Path) -> Body:
     d = mesh.cell_dim(kind)
     # Every rank gets the tags of the whole file: 4 bytes a cell, far below the mesh itself.
     tags, groups = comm.bcast(None if raw is None else (raw.tags, raw.groups))
-    msh = mesh.create_mesh(
+    msh = distribute(
         comm,
+        kind,
         np.empty((0, vertices), dtype=np.int64) if raw is None else raw.cells,
-        domain(kind),
         np.empty((0, d)) if raw is None else raw.points,
-        # singledispatch hides this overload from type checkers
-        mesh.create_cell_partitioner(mesh.GhostMode.shared_facet, 2),  # type: ignore[call-arg]
     )
     original = msh.topology.original_cell_index
     local = np.arange(len(original), dtype=np.int32)

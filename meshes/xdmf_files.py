@@ -16,7 +16,7 @@ from dolfinx import mesh
 from dolfinx.io import XDMFFile
 
 from meshes.body import MeshError
-from meshes.raw import CELLS, TAGGED, RawMesh, cell_kind, check, domain, planar
+from meshes.raw import KINDS, TAGGED, RawMesh, cell_kind, check, domain, planar
 
 _SPELLINGS = {
     **{"tetrahedron": "tetra", "quadrilateral": "quad"},
@@ -54,7 +54,7 @@ def load_xdmf(path: Path) -> RawMesh:
             cells = np.asarray(file.read_topology_data(name, _DOMAIN), dtype=np.int64)
             points = np.asarray(file.read_geometry_data(name, _DOMAIN), dtype=np.float64)
             tags = np.zeros(len(cells), dtype=np.int32)
-            raw = RawMesh(CELLS[kind], planar(points, d), cells, tags)
+            raw = RawMesh(KINDS[kind], planar(points, d), cells, tags)
             check(raw)
             msh = mesh.create_mesh(MPI.COMM_SELF, raw.cells, domain(raw.kind), raw.points)
             for kind, grid in grids:

@@ -184,10 +184,9 @@ def table(records: Sequence[Record]) -> list[str]:
     for r in (r for r in records if r["kind"] == "mesh"):
         for variant in VARIANTS[:2]:
             lines.append(_mesh_line(r, variant))
-        iteration = _ratio(r)
         step = _per_step(r, "backtracking") / _per_step(r, "mixed")
         lines.append(
-            f"{'':>31} mixed / displacement: an iteration {iteration:.2f}, a step 1/{step:.1f}"
+            f"{'':>31} mixed / displacement: an iteration {_ratio(r):.2f}, a step 1/{step:.1f}"
         )
     if found := _growth(records):
         first, last, (mixed, classic, krylov) = found
