@@ -28,7 +28,7 @@ from dolfinx import fem, mesh
 from ufl import dx
 
 from forms import BackwardEuler, StableNeoHookean, mixed_fields, seed
-from solvers import PRECONDITIONERS, ConvergenceError, MixedProblem
+from solvers import PRECONDITIONERS, MixedProblem
 
 # %% [markdown]
 # The body is a bar of 36 tetrahedra, clamped at one end, that starts to fall. The energy is (1)
@@ -63,19 +63,15 @@ def say(*text):
 
 
 # %% [markdown]
-# We take one time step, so that R, S and Λ are no longer those of the rest state, and stop the next
-# one after its first iteration. What is in memory then is (35) at a point of no special kind. The
+# We take one time step, so that R, S and Λ are no longer those of the rest state, and then a single
+# Newton step of the next one. What is in memory then is (35) at a point of no special kind. The
 # fields have been scaled, each by a unit of its own, which changes nothing in the algebra.
 
 # %%
 problem, euler = falling_bar((6, 1, 1))
 first = problem.solve()
 euler.advance()
-problem.problem.solver.setTolerances(max_it=1)
-try:
-    problem.solve()
-except ConvergenceError as stopped:
-    assert stopped.result.reason == "DIVERGED_MAX_IT"
+problem.newton_step()
 
 # %% [markdown]
 # The system is a nest of blocks. To compare, we need each matrix as an array of numbers, which is

@@ -6,8 +6,16 @@ solvers derive the Newton system from its integral.
 
 from mpi4py import MPI  # noqa: F401  (with the PyPI wheel MPI must be imported before DOLFINx)
 
-from forms.cell_data import CellData, frozen, refresh
-from forms.fields import displacement_field, mixed_fields
+from forms.cell_data import (
+    CellData,
+    CellFunction,
+    Intermediate,
+    frozen,
+    intermediate,
+    refresh,
+)
+from forms.damping import Rayleigh
+from forms.fields import displacement_field, mixed_fields, point_field
 from forms.formulations import (
     FORMULATIONS,
     Formulation,
@@ -21,8 +29,11 @@ from forms.formulations import (
     seed,
     seed_singular,
     symmetric,
+    taylor_hood,
 )
+from forms.history import History
 from forms.kinematics import deformation_gradient
+from forms.loads import LOADS, BodyForce, Gravity, Load, Pressure, Traction
 from forms.materials import (
     MATERIALS,
     AsRigidAsPossible,
@@ -41,6 +52,9 @@ from forms.materials import (
     cell_values,
     lame_parameters,
 )
+from forms.model import Energies, EnergyIntegrals, Model
+from forms.motions import MOTIONS, Fixed, Held, Motion, Stretch, Translate, Twist
+from forms.newmark import GeneralisedAlpha, Newmark, Trapezoidal
 from forms.points import measure, quadrature_degree, require_measure
 from forms.rotation import (
     linearised_stretch,
@@ -48,32 +62,62 @@ from forms.rotation import (
     quaternion_rotation,
     right_stretch,
 )
+from forms.schemes import SCHEMES
+from forms.start import set_velocity
 from forms.stress import (
     biot_stress,
     cauchy_stress,
     first_piola_kirchhoff_stress,
     von_mises_stress,
 )
-from forms.time import BackwardEuler
+from forms.time import BDF2, BackwardEuler, ImplicitMidpoint, Scheme, Static
 
 __all__ = [
+    "BDF2",
     "FORMULATIONS",
+    "LOADS",
     "MATERIALS",
+    "MOTIONS",
+    "SCHEMES",
     "AsRigidAsPossible",
     "BackwardEuler",
+    "BodyForce",
     "CellData",
+    "CellFunction",
     "Corotational",
+    "Energies",
+    "EnergyIntegrals",
+    "Fixed",
     "FixedCorotational",
     "Formulation",
     "Fung",
+    "GeneralisedAlpha",
+    "Gravity",
+    "Held",
     "Hencky",
+    "History",
+    "ImplicitMidpoint",
+    "Intermediate",
+    "Load",
     "Material",
+    "Model",
     "MooneyRivlin",
+    "Motion",
     "NeoHookean",
+    "Newmark",
     "Ogden",
+    "Pressure",
+    "Rayleigh",
+    "Scheme",
     "SmithNeoHookean",
     "StVenantKirchhoff",
     "StableNeoHookean",
+    "Static",
+    "Stretch",
+    "Traction",
+    "Translate",
+    "Trapezoidal",
+    "Twist",
     "biot_stress",
     "by_tag",
     "cauchy_stress",
@@ -85,6 +129,7 @@ __all__ = [
     "frozen",
     "gauss_newton",
     "hu_washizu",
+    "intermediate",
     "lagged_rotation",
     "lame_parameters",
     "linearised_stretch",
@@ -92,6 +137,7 @@ __all__ = [
     "mean_dilatation",
     "measure",
     "mixed_fields",
+    "point_field",
     "polar_rotation",
     "quadrature_degree",
     "quaternion_rotation",
@@ -101,6 +147,8 @@ __all__ = [
     "rotation_field",
     "seed",
     "seed_singular",
+    "set_velocity",
     "symmetric",
+    "taylor_hood",
     "von_mises_stress",
 ]

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx import fem, mesh
 
-from forms.points import CELLS, local_space, quadrature_degree
+from forms.points import CELLS, local_space, quadrature_degree, rule_degree
 
 
 def displacement_field(msh: mesh.Mesh, degree: int = 1) -> fem.Function:
@@ -19,7 +19,7 @@ def displacement_field(msh: mesh.Mesh, degree: int = 1) -> fem.Function:
         degree: Of the Lagrange element.
 
     Raises:
-        ValueError: The mesh is a surface or has other cells, or the degree is not positive.
+        ValueError: The mesh is a surface, has other or curved cells, or the degree is not positive.
     """
     d = msh.geometry.dim
     if msh.topology.cell_type not in CELLS.get(d, ()):
@@ -27,9 +27,27 @@ def displacement_field(msh: mesh.Mesh, degree: int = 1) -> fem.Function:
             f"the mesh has cells of type {msh.topology.cell_type.name} in {d}D; "
             "it must have triangles or quadrilaterals in 2D, tetrahedra or hexahedra in 3D"
         )
+    require_straight(msh)
     if degree < 1:
         raise ValueError(f"degree is {degree}; a continuous displacement has degree 1 or more")
     return fem.Function(fem.functionspace(msh, ("P", degree, (d,))), name="u")
+
+
+def require_straight(msh: mesh.Mesh) -> None:
+    """Insist on cells with straight edges, on which the points of the method are enough.
+
+    On curved simplices F is not constant, and a mixed formulation would not have the positions of
+    the displacement method.
+
+    Raises:
+        ValueError: The geometry is of second order or higher.
+    """
+    for cell in msh.geometry.cmaps:
+        if cell.degree > 1:
+            raise ValueError(
+                f"the mesh has curved cells (geometry of degree {cell.degree}); it must have "
+                "straight ones, of degree 1"
+            )
 
 
 def mixed_fields(
@@ -66,6 +84,30 @@ def mixed_fields(
     return u, S, fem.Function(local_space(msh, points, (d, d)), name="Lam")
 
 
+def point_field(
+    msh: mesh.Mesh,
+    value: npt.ArrayLike = 0.0,
+    *,
+    degree: int = 1,
+    symmetric: bool = False,
+    name: str = "",
+) -> fem.Function:
+    """Return a field of data or of history where S lives (`forms.points`), the same everywhere.
+
+    Args:
+        msh: The mesh.
+        value: Its value, which gives it its shape.
+        degree: Of the displacement.
+        symmetric: Whether it is a symmetric tensor.
+        name: Of the field.
+    """
+    value = np.asarray(value, dtype=float)
+    space = local_space(msh, rule_degree(msh, degree), value.shape, symmetric=symmetric)
+    f = fem.Function(space, name=name)
+    set_everywhere(f, value)
+    return f
+
+
 def set_everywhere(f: fem.Function, value: npt.ArrayLike) -> None:
     """Set a cell-local field to the same value everywhere.
 
@@ -73,9 +115,20 @@ def set_everywhere(f: fem.Function, value: npt.ArrayLike) -> None:
         f: DG0, or at quadrature points.
         value: Of the shape of f; of a symmetric tensor the lower triangle counts.
     """
-    components = np.asarray(value, dtype=float)
     bs = f.function_space.dofmap.index_map_bs
-    if components.size > bs:
-        # Components of a symmetric tensor in the order 00, 10, 11, 20, 21, 22.
-        components = components[np.tril_indices(len(components))]
-    f.x.array.reshape(-1, bs)[:] = components.ravel()
+    f.x.array.reshape(-1, bs)[:] = components(np.asarray(value, dtype=float)[None], bs)
+
+
+def components(values: npt.NDArray[np.float64], block_size: int) -> npt.NDArray[np.float64]:
+    """Return values as a space keeps them: a symmetric tensor by 00, 10, 11, 20, 21, 22.
+
+    Args:
+        values: Shape (n, *shape of a value).
+        block_size: Of the space.
+
+    Returns:
+        Shape (n, block_size).
+    """
+    if np.prod(values.shape[1:]) > block_size:
+        values = values[:, *np.tril_indices(values.shape[-1])]
+    return values.reshape(-1, block_size)

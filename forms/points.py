@@ -36,8 +36,12 @@ def quadrature_degree(V: fem.FunctionSpace) -> int:
         return int(element.embedded_superdegree)
     if V.element.basix_element.discontinuous:
         return 0
-    k = int(V.element.basix_element.degree)
-    return 2 * (k - 1) if is_simplicial(V.mesh) else 2 * k
+    return rule_degree(V.mesh, int(V.element.basix_element.degree))
+
+
+def rule_degree(msh: mesh.Mesh, k: int) -> int:
+    """Degree of the rule for the strain energy of displacements of degree k."""
+    return 2 * (k - 1) if is_simplicial(msh) else 2 * k
 
 
 def is_simplicial(msh: mesh.Mesh) -> bool:

@@ -26,14 +26,14 @@ B. K. P. Horn, Closed-form solution of absolute orientation using unit quaternio
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import numpy.typing as npt
 import ufl
-from dolfinx import fem
 from ufl.core.expr import Expr
 
-from forms.cell_data import CellData, frozen
-from forms.kinematics import deformation_gradient
+from forms.cell_data import CellData, frozen, intermediate, marked
 
 _LOWER = np.tril_indices(3)
 
@@ -41,22 +41,30 @@ _LOWER = np.tril_indices(3)
 class _PolarData(CellData):
     """R₀ (9), S₀ (6) and G (6) of each point, in one coefficient of 21 components."""
 
-    def __init__(self, u: fem.Function) -> None:
-        super().__init__(deformation_gradient(u), (21,), "polar")
+    code = Path(__file__).parent / "code" / "polar.h"
+    rank, kept = 3, 6
+
+    def __init__(self, F: Expr) -> None:
+        super().__init__(F, (21,), "polar")
+        self.rotation = marked(self._expansion(), self)
 
     def compute(self, values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         R, S, G = polar_factors(values)
         return np.concatenate([R.reshape(-1, 9), S[:, *_LOWER], G[:, *_LOWER]], axis=1)
 
-    def unpack(self) -> tuple[Expr, Expr, Expr]:
-        """Return (R₀, S₀, G) as UFL matrices."""
+    def _expansion(self) -> Expr:
         lower = [[0, 1, 3], [1, 2, 4], [3, 4, 5]]
         full = [[0, 1, 2], [3, 4, 5], [6, 7, 8]]
-        R, S, G = (
+        R0, S0, G = (
             ufl.as_matrix([[self[offset + k] for k in row] for row in table])
             for offset, table in ((0, full), (9, lower), (15, lower))
         )
-        return R, S, G
+        A = R0.T * self.argument
+        D = ufl.sym(A) - S0
+        I = ufl.Identity(3)  # noqa: E741
+        b1 = G * _axial(A)
+        b2 = -2 * G * ((ufl.tr(D) * I - D) * b1)
+        return R0 * (I + 2 * _cross(b1) + 2 * _cross(b2) + 2 * _cross(b1) * _cross(b1))
 
 
 def polar_factors(
@@ -93,61 +101,53 @@ def _cross(b: Expr) -> Expr:
     return ufl.as_matrix([[0, -b[2], b[1]], [b[2], 0, -b[0]], [-b[1], b[0], 0]])
 
 
-def _polar_data(u: fem.Function) -> _PolarData:
-    """The one set of per-cell data of a displacement, which lives as long as it does.
-
-    A compiled form keeps the numbers and not this object: a second set would leave them stale.
-    """
-    data: _PolarData | None = vars(u).get("_polar_data")
-    if data is None:
-        data = vars(u)["_polar_data"] = _PolarData(u)
-    return data
+def _axial(A: Expr) -> Expr:
+    """The axial vector of A - Aᵀ."""
+    return ufl.as_vector([A[2, 1] - A[1, 2], A[0, 2] - A[2, 0], A[1, 0] - A[0, 1]])
 
 
-def polar_rotation(u: fem.Function) -> Expr:
-    """Return R(F(u)) in SO(d), with exact first and second UFL derivatives, shape (d, d).
+def polar_rotation(F: Expr) -> Expr:
+    """Return R(F) in SO(d), with exact first and second UFL derivatives, shape (d, d).
 
     In 3D the expression holds per-cell data (`CellData`) that a solver refreshes; in 2D it is the
     closed form R = (F + cof F) / |F + cof F| √2, exact to every order.
 
     Args:
-        u: Displacement [m].
+        F: Deformation gradient, any expression of finite element functions, shape (d, d).
     """
-    F = deformation_gradient(u)
-    if len(u) == 2:
+    if F.ufl_shape == (2, 2):
         c, s = F[0, 0] + F[1, 1], F[1, 0] - F[0, 1]
         r = ufl.sqrt(c**2 + s**2)
         return ufl.as_matrix([[c / r, -s / r], [s / r, c / r]])
-    R0, S0, G = _polar_data(u).unpack()
-    A = R0.T * F
-    a = ufl.as_vector([A[2, 1] - A[1, 2], A[0, 2] - A[2, 0], A[1, 0] - A[0, 1]])
-    D = ufl.sym(A) - S0
-    I = ufl.Identity(3)  # noqa: E741
-    b1 = G * a
-    b2 = -2 * G * ((ufl.tr(D) * I - D) * b1)
-    return R0 * (I + 2 * _cross(b1) + 2 * _cross(b2) + 2 * _cross(b1) * _cross(b1))
+    return _PolarData.of(F).rotation
 
 
-def right_stretch(u: fem.Function) -> Expr:
-    """Return S(F(u)) = sym(RᵀF), with exact first and second UFL derivatives, shape (d, d)."""
-    return ufl.sym(polar_rotation(u).T * deformation_gradient(u))
+def right_stretch(F: Expr) -> Expr:
+    """Return S(F) = sym(RᵀF), with exact first and second UFL derivatives, shape (d, d).
+
+    Args:
+        F: Deformation gradient, shape (d, d).
+    """
+    return intermediate(ufl.sym(polar_rotation(F).T * F))
 
 
-def linearised_stretch(u: fem.Function) -> Expr:
-    """Return S(F(u)) with its exact first UFL derivative and a second one of zero, shape (d, d).
+def linearised_stretch(F: Expr) -> Expr:
+    """Return S(F) with its exact first UFL derivative and a second one of zero, shape (d, d).
 
     With R, S frozen at the present F, A = RᵀF and [ω]ₓ = Rᵀ δR, (tr S I - S) ω = axial(A - Aᵀ),
     it is sym(A - [ω]ₓ S), affine in F.
+
+    Args:
+        F: Deformation gradient, shape (d, d).
     """
-    R, S = frozen(polar_rotation(u)), frozen(right_stretch(u))
-    A = R.T * deformation_gradient(u)
-    if len(u) == 2:
-        omega = (A[1, 0] - A[0, 1]) / ufl.tr(S)
+    R, S = frozen(polar_rotation(F)), right_stretch(F)
+    A = intermediate(R.T * F)
+    if F.ufl_shape == (2, 2):
+        omega = (A[1, 0] - A[0, 1]) / frozen(ufl.tr(S))
         turn = ufl.as_matrix([[0, -omega], [omega, 0]])
     else:
-        a = ufl.as_vector([A[2, 1] - A[1, 2], A[0, 2] - A[2, 0], A[1, 0] - A[0, 1]])
-        turn = _cross(ufl.inv(ufl.tr(S) * ufl.Identity(3) - S) * a)
-    return ufl.sym(A - turn * S)
+        turn = _cross(frozen(ufl.inv(ufl.tr(S) * ufl.Identity(3) - S)) * _axial(A))
+    return intermediate(ufl.sym(A - turn * frozen(S)))
 
 
 def quaternion_rotation(q: Expr) -> Expr:

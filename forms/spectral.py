@@ -14,16 +14,18 @@ are those of f(A).
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import combinations_with_replacement
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 import ufl
 from ufl.core.expr import Expr
 
-from forms.cell_data import CellData
+from forms.cell_data import CellData, marked
 
 Floats = npt.NDArray[np.float64]
 
@@ -48,12 +50,16 @@ class ScalarFunction:
         second: f''.
         radius: Distance from which on f is no longer close to its Taylor polynomials, such as
             that to its nearest singularity.
+        code: Its number in forms/code/spectral.h.
+        exponent: That of a power.
     """
 
     value: Callable[[Floats], Floats]
     first: Callable[[Floats], Floats]
     second: Callable[[Floats], Floats]
     radius: Callable[[Floats], Floats]
+    code: int
+    exponent: float = 0.0
 
 
 def tensor_function(A: Expr, f: ScalarFunction) -> Expr:
@@ -66,7 +72,7 @@ def tensor_function(A: Expr, f: ScalarFunction) -> Expr:
         A: Symmetric, shape (d, d).
         f: The function.
     """
-    return _SpectralData(A, f).expand(A)
+    return _SpectralData.of(A, f).function
 
 
 def log(A: Expr) -> Expr:
@@ -81,30 +87,44 @@ def exp(A: Expr) -> Expr:
 
 def power(A: Expr, exponent: float) -> Expr:
     """Return a real power of a symmetric positive definite tensor, see `tensor_function`."""
-    a = float(exponent)
-    return tensor_function(
-        A,
-        ScalarFunction(
-            lambda x: x**a,
-            lambda x: a * x ** (a - 1.0),
-            lambda x: a * (a - 1.0) * x ** (a - 2.0),
-            radius=np.abs,
-        ),
+    return tensor_function(A, _power(float(exponent)))
+
+
+@functools.cache
+def _power(a: float) -> ScalarFunction:
+    return ScalarFunction(
+        lambda x: x**a,
+        lambda x: a * x ** (a - 1.0),
+        lambda x: a * (a - 1.0) * x ** (a - 2.0),
+        radius=np.abs,
+        code=_POWER,
+        exponent=a,
     )
 
 
-_LOG = ScalarFunction(np.log, lambda x: 1.0 / x, lambda x: -1.0 / x**2, radius=np.abs)
-_EXP = ScalarFunction(np.exp, np.exp, np.exp, radius=np.ones_like)
+# Numbers of the functions in forms/code/spectral.h.
+_LOGARITHM, _EXPONENTIAL, _POWER = 0, 1, 2
+
+_LOG = ScalarFunction(
+    np.log, lambda x: 1.0 / x, lambda x: -1.0 / x**2, radius=np.abs, code=_LOGARITHM
+)
+_EXP = ScalarFunction(np.exp, np.exp, np.exp, radius=np.ones_like, code=_EXPONENTIAL)
 
 
 class _SpectralData(CellData):
     """V, λ and divided differences of orders 0, 1, 2 in one coefficient."""
+
+    code = Path(__file__).parent / "code" / "spectral.h"
+    symmetric = True
 
     def __init__(self, A: Expr, f: ScalarFunction) -> None:
         d = A.ufl_shape[0]
         self._f = f
         self._orders = [list(combinations_with_replacement(range(d), n)) for n in (1, 2, 3)]
         super().__init__(A, (d * d + d + sum(map(len, self._orders)),), "spectral")
+        self.parameters = float(f.code), f.exponent
+        self.rank, self.kept = d * (d + 1) // 2, 2 * d**2 + d**3
+        self.function = marked(self._expansion(), self)
 
     def compute(self, values: Floats) -> Floats:
         A = values.copy()
@@ -119,8 +139,9 @@ class _SpectralData(CellData):
         differences[lost] = np.nan
         return np.concatenate([V.reshape(len(A), -1), lam, differences], axis=1)
 
-    def expand(self, A: Expr) -> Expr:
-        """Return the Taylor polynomial of f around the present A."""
+    def _expansion(self) -> Expr:
+        """The Taylor polynomial of f around the present A."""
+        A = self.argument
         d = A.ufl_shape[0]
         V = ufl.as_matrix([[self[d * i + j] for j in range(d)] for i in range(d)])
         lam = [self[d * d + i] for i in range(d)]

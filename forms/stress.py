@@ -8,10 +8,8 @@ Of an isotropic material the Biot stress ∂Ψ/∂S is coaxial with S, and
 from __future__ import annotations
 
 import ufl
-from dolfinx import fem
 from ufl.core.expr import Expr
 
-from forms.kinematics import deformation_gradient
 from forms.materials import StrainEnergy
 from forms.rotation import polar_rotation, right_stretch
 
@@ -22,14 +20,13 @@ def biot_stress(S: Expr, psi: StrainEnergy) -> Expr:
     return ufl.sym(ufl.diff(psi(at), at))
 
 
-def first_piola_kirchhoff_stress(u: fem.Function, psi: StrainEnergy) -> Expr:
-    """Return P = R ∂Ψ/∂S at S = S(F(u)) [Pa], shape (d, d)."""
-    return polar_rotation(u) * biot_stress(right_stretch(u), psi)
+def first_piola_kirchhoff_stress(F: Expr, psi: StrainEnergy) -> Expr:
+    """Return P = R ∂Ψ/∂S at S = S(F) [Pa], shape (d, d)."""
+    return polar_rotation(F) * biot_stress(right_stretch(F), psi)
 
 
-def cauchy_stress(u: fem.Function, P: Expr) -> Expr:
+def cauchy_stress(F: Expr, P: Expr) -> Expr:
     """Return σ = P Fᵀ / J [Pa], shape (d, d), of a first Piola-Kirchhoff stress P such as Λ."""
-    F = deformation_gradient(u)
     return P * F.T / ufl.det(F)
 
 

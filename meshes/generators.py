@@ -10,7 +10,8 @@ from mpi4py import MPI
 import numpy as np
 from dolfinx import mesh
 
-from meshes.body import Body, MeshError
+from meshes.body import Body
+from meshes.errors import MeshError
 
 CELLS = {2: ("triangle", "quadrilateral"), 3: ("tetrahedron", "hexahedron")}
 """Kinds of cells of a box by dimension, the default first."""

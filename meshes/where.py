@@ -15,14 +15,16 @@ Extent = str | tuple[float, float]
 
 @dataclass(frozen=True)
 class Where:
-    """A set of vertices: those that meet every condition given.
+    """A part of a body: the vertices, or the tagged entities, that meet every condition given.
 
     Attributes:
         extents: Condition on each coordinate named: ``"min"``, ``"max"`` or a closed interval
             in metres.
         vertices: Vertex numbers, from 0, in the order of the mesh file.
-        tag: Name or number of a physical group or reference of the mesh file; it stands for
-            the vertices of the tagged entities.
+        tag: Name or number of a group of the mesh file. It stands for the entities that carry it
+            and what bounds them: facets if there are any, else edges, else vertices. A name may
+            also be that of a region, of which the cells are meant if it tags nothing else. With
+            further conditions, it is those entities all of whose vertices meet them.
     """
 
     extents: tuple[tuple[str, Extent], ...] = ()

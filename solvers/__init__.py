@@ -2,20 +2,23 @@
 
 from mpi4py import MPI  # noqa: F401  (with the PyPI wheel MPI must be imported before DOLFINx)
 
-from solvers.compiled import CellKernel
 from solvers.options import SOLVERS
 from solvers.preconditioners import PRECONDITIONERS
-from solvers.problem import MixedProblem
+from solvers.problem import MixedProblem, NewtonStep
 from solvers.result import ConvergenceError, SolveResult
-from solvers.stepping import TimeScheme, march
+from solvers.stepping import StepControl, TimeScheme, march
+from solvers.strategies import STRATEGIES, Strategy
 
 __all__ = [
     "PRECONDITIONERS",
     "SOLVERS",
-    "CellKernel",
+    "STRATEGIES",
     "ConvergenceError",
     "MixedProblem",
+    "NewtonStep",
     "SolveResult",
+    "StepControl",
+    "Strategy",
     "TimeScheme",
     "march",
 ]

@@ -1,7 +1,8 @@
 r"""Elimination of cell-local fields one after the other, each Schur complement assembled.
 
 The Newton system in a displacement u and cell-local fields is eliminated group by group. A group g
-of fields has one dense block D_gg a cell, and leaves on the other cell-local fields r and on u
+of fields has one dense block D_gg a cell, or one a quadrature point, and leaves on the other
+cell-local fields r and on u
 
     D_rr - D_rg D_gg⁻¹ D_gr,   B_r - D_rg D_gg⁻¹ B_g,   J_uu - Σ_K B_gᵀ D_gg⁻¹ B_g,
 
@@ -21,13 +22,9 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
-from dolfinx import fem
 
+from solvers.condensation import Floats, Group, LocalBlocks
 from solvers.layout import BlockLayout, Ints
-
-Floats = npt.NDArray[np.float64]
-Group = tuple[int, ...]
 
 SINGULAR = 1e8
 """Condition number of a scaled local block past which a field is not eliminated on its own."""
@@ -40,10 +37,10 @@ class Reduced:
     Attributes:
         fields: Numbers of the cell-local fields that are left, in ascending order.
         group: Those of them that go next.
-        D: Blocks of `fields`, shape (owned cells, n, n) with n unknowns on a cell.
-        B: Their rows in the columns of the displacement, shape (owned cells, n, n_u).
+        D: Blocks of `fields`, shape (parts, n, n) with n unknowns on a part.
+        B: Their rows in the columns of the displacement, shape (parts, n, n_u).
         uu: What the elimination has added to J_uu, shape (owned cells, n_u, n_u).
-        inverse: D_gg⁻¹ of the group, shape (owned cells, m, m).
+        inverse: D_gg⁻¹ of the group, shape (parts, m, m).
     """
 
     fields: Group
@@ -55,70 +52,41 @@ class Reduced:
 
 
 class Elimination:
-    """Schur complements of a nested Jacobian, cell by cell.
+    """Schur complements of a nested Jacobian, cell by cell or point by point.
 
     Attributes:
+        blocks: The reader of the Jacobian, for which a part is one of either.
+        layout: Numbering of the unknowns.
         groups: The fields that are eliminated together, in order.
     """
 
-    def __init__(self, fields: Sequence[fem.Function], layout: BlockLayout, A: PETSc.Mat) -> None:
+    def __init__(self, blocks: LocalBlocks) -> None:
         """Choose the groups.
 
         A field is eliminated on its own if its local blocks allow it, the first such field first.
         What is left when there is none goes as one group.
 
         Args:
-            fields: The displacement, then cell-local fields.
-            layout: Their numbering.
-            A: The Jacobian as a nest, assembled.
+            blocks: The reader of the Jacobian, assembled.
         """
-        self.layout, self._A = layout, A
-        self._block_sizes = [f.function_space.dofmap.index_map_bs for f in fields]
-        # Dofs in ascending global order, in which the entries stand in a row of a matrix.
-        self._dofs: list[npt.NDArray[np.int32]] = []
-        self._numbers: list[Ints] = []
-        for f in range(len(fields)):
-            dofs = layout.cell_dofs(f)
-            numbers = layout.own_global(f, dofs)
-            order = np.argsort(numbers, axis=1)
-            self._dofs.append(np.take_along_axis(dofs, order, axis=1))
-            self._numbers.append(np.take_along_axis(numbers, order, axis=1))
-        self._targets = {
-            (f, g): self._find_targets(f, g)
-            for f in range(1, len(fields))
-            for g in range(len(fields))
-            if self.block(f, g)
-        }
-        indptr, columns, _ = self.block(0, 0).getValuesCSR()
-        first, _ = self.block(0, 0).getOwnershipRange()
-        rows = np.repeat(np.arange(first, first + len(indptr) - 1), np.diff(indptr))
-        self._uu_sparsity = rows, columns
+        self.blocks, self.layout = blocks, blocks.layout
         self.groups = self._choose_groups()
-        self.tell_block_sizes(self.block)
-
-    def block(self, f: int, g: int) -> PETSc.Mat:
-        """A block of the Jacobian; false if it is empty."""
-        return self._A.getNestSubMatrix(f, g)
-
-    def place(self, f: int, fields: Group) -> slice:
-        """Where the unknowns of field f stand among those of some fields on a cell."""
-        start = sum(self._dofs[g].shape[1] for g in fields[: fields.index(f)])
-        return slice(start, start + self._dofs[f].shape[1])
+        self.tell_block_sizes(blocks.block)
 
     def places(self, group: Group, fields: Group) -> Ints:
         """Where the unknowns of a group of fields stand among those of some fields on a cell."""
         return np.concatenate(
-            [np.r_[self.place(f, fields)] for f in group] or [np.zeros(0, dtype=np.int64)]
+            [np.r_[self.blocks.place(f, fields)] for f in group] or [np.zeros(0, dtype=np.int64)]
         )
 
     def rows(self, group: Group) -> Ints:
-        """This rank's unknowns of a group that are on each cell, shape (owned cells, m).
+        """This rank's unknowns of a group that are on each part, shape (parts, m).
 
         They count from 0 for the first owned unknown of the first field of the group.
         """
         owned = np.diff(self.layout.offsets)
         starts = np.cumsum([0, *owned[list(group)]])
-        return np.hstack([self._dofs[f] + s for f, s in zip(group, starts, strict=False)])
+        return np.hstack([self.blocks.dofs[f] + s for f, s in zip(group, starts, strict=False)])
 
     def tell_block_sizes(self, block: Callable[[int, int], PETSc.Mat | None]) -> None:
         """Tell the matrices of groups of one field how large their blocks are, for VPBJACOBI.
@@ -127,19 +95,22 @@ class Elimination:
         """
         for group in filter(self.is_point_block, self.groups):
             if matrix := block(group[0], group[0]):
-                size = self._block_sizes[group[0]]
-                cells = self.layout.cells
-                matrix.setVariableBlockSizes(np.full(cells, size, dtype=PETSc.IntType))
+                size = self.layout.block_sizes[group[0]]
+                sizes = np.full(self.blocks.parts, size, dtype=PETSc.IntType)
+                matrix.setVariableBlockSizes(sizes)
 
     def is_point_block(self, group: Group) -> bool:
         """Whether the blocks of a group are the point blocks of one field's matrix."""
-        return len(group) == 1 and self._dofs[group[0]].shape[1] == self._block_sizes[group[0]]
+        return (
+            len(group) == 1
+            and self.blocks.dofs[group[0]].shape[1] == self.layout.block_sizes[group[0]]
+        )
 
     def reductions(self) -> Iterator[Reduced]:
         """Eliminate from the current Jacobian: what there is before each group, and at the end."""
-        fields = tuple(range(1, len(self._dofs)))
-        D, B = self._read(fields)
-        uu = np.zeros((len(B), B.shape[2], B.shape[2]))
+        fields = tuple(range(1, len(self.blocks.dofs)))
+        D, B = self.blocks.read()
+        uu = np.zeros((self.layout.cells, B.shape[2], B.shape[2]))
         for group in self.groups:
             rest = tuple(f for f in fields if f not in group)
             g, r = (_views(self.places(part, fields)) for part in (group, rest))
@@ -148,79 +119,19 @@ class Elimination:
             yield Reduced(fields, group, D, B, uu, inverse)
             D_rg = D_r[:, :, g]
             from_u, from_r = inverse @ B_g, inverse @ D_g[:, :, r]
-            uu -= B_g.transpose(0, 2, 1) @ from_u  # what was yielded has been used
+            # What was yielded has been used.
+            uu -= self.blocks.product_by_cell(B_g, from_u)
             D, B = D_r[:, :, r] - D_rg @ from_r, B[:, r] - D_rg @ from_u
             fields = rest
         yield Reduced((), (), D, B, uu, D)
 
-    def matrix(self, f: int, g: int) -> PETSc.Mat:
-        """An empty matrix for `fill`, in the fields' own numbering."""
-        shape = self._numbers[f].shape[1], self._numbers[g].shape[1]
-        rows = np.repeat(self._numbers[f], shape[1], axis=1).ravel()
-        columns = np.tile(self._numbers[g], (1, shape[0])).ravel()
-        if f == g == 0:
-            rows = np.concatenate([self._uu_sparsity[0], rows])
-            columns = np.concatenate([self._uu_sparsity[1], columns])
-        owned = np.diff(self.layout.offsets)
-        bs = self._block_sizes
-        matrix = PETSc.Mat().create(self.layout.comm)
-        matrix.setSizes(((owned[f], None), (owned[g], None)))
-        matrix.setBlockSizes(bs[f], bs[g])
-        matrix.setType("aij")
-        matrix.setPreallocationCOO(
-            rows.astype(PETSc.IntType, copy=False), columns.astype(PETSc.IntType, copy=False)
-        )
-        return matrix
-
-    def fill(self, matrix: PETSc.Mat, f: int, g: int, values: Floats) -> None:
-        """Put cells' values, shape (owned cells, unknowns of f, of g), into a matrix.
-
-        The displacement's own block has J_uu added.
-        """
-        parts = [values.ravel()]
-        if f == g == 0:
-            parts.insert(0, self.block(0, 0).getValuesCSR()[2])
-        matrix.setValuesCOO(np.concatenate(parts), PETSc.InsertMode.INSERT)
-
-    def _find_targets(self, f: int, g: int) -> Ints | None:
-        """Where a block's entries go in an array (rows of f, unknowns of g on the row's cell).
-
-        None if they fill it in order.
-        """
-        indptr, columns, _ = self.block(f, g).getValuesCSR()
-        rows, width = len(indptr) - 1, self._dofs[g].shape[1]
-        if len(columns) == rows * width:
-            return None
-        cell = np.empty(rows, dtype=np.int64)
-        cell[self._dofs[f]] = np.arange(self.layout.cells)[:, None]
-        row = np.repeat(np.arange(rows), np.diff(indptr))
-        place = np.argmax(self._numbers[g][cell[row]] == columns[:, None], axis=1)
-        targets: Ints = row * width + place
-        return targets
-
-    def _read(self, fields: Group) -> tuple[Floats, Floats]:
-        """D and B of the Jacobian."""
-        n = self.place(fields[-1], fields).stop
-        D = np.zeros((self.layout.cells, n, n))
-        B = np.zeros((self.layout.cells, n, self._dofs[0].shape[1]))
-        for (f, g), targets in self._targets.items():
-            values = self.block(f, g).getValuesCSR()[2]
-            width = self._dofs[g].shape[1]
-            if targets is not None:
-                entries, values = values, np.zeros(self._dofs[f].size * width)
-                values[targets] = entries
-            into = B if g == 0 else D
-            columns = slice(None) if g == 0 else self.place(g, fields)
-            into[:, self.place(f, fields), columns] = values.reshape(-1, width)[self._dofs[f]]
-        return D, B
-
     def _choose_groups(self) -> tuple[Group, ...]:
-        fields = tuple(range(1, len(self._dofs)))
-        D, _ = self._read(fields)
+        fields = tuple(range(1, len(self.blocks.dofs)))
+        D, _ = self.blocks.read()
         groups: list[Group] = []
         while fields:
             for f in fields:
-                g = np.r_[self.place(f, fields)]
+                g = np.r_[self.blocks.place(f, fields)]
                 if self._condition(D[:, g[:, None], g]) < SINGULAR:
                     break
             else:
@@ -254,7 +165,7 @@ class SchurComplements:
             matrix. All but the last are nests of two blocks each way, the group's and the rest's.
         parts: Of each system but the last the fields of the group and of the rest.
         splits: Their index sets in the system.
-        inverses: D_gg⁻¹ of each group, shape (owned cells, m, m).
+        inverses: D_gg⁻¹ of each group, shape (parts, m, m).
     """
 
     def __init__(self, elimination: Elimination) -> None:
@@ -267,13 +178,13 @@ class SchurComplements:
         self.inverses: list[Floats] = []
         self._blocks: list[dict[tuple[int, int], PETSc.Mat]] = []
         fields: Group = tuple(range(len(layout.offsets) - 1))
-        block: Callable[[int, int], PETSc.Mat | None] = elimination.block
+        block: Callable[[int, int], PETSc.Mat | None] = elimination.blocks.block
         for group in elimination.groups:
             rest = tuple(f for f in fields if f not in group)
             self.parts.append((group, rest))
             self.splits.append([_index_set(layout, part, fields) for part in (group, rest)])
             self.systems.append(_nest((group, rest), block, self.splits[-1], layout))
-            made = {(f, g): elimination.matrix(f, g) for f in rest for g in rest}
+            made = {(f, g): elimination.blocks.matrix(f, g) for f in rest for g in rest}
             self._blocks.append(made)
             block = _getter(made)
             elimination.tell_block_sizes(block)
@@ -292,7 +203,7 @@ class SchurComplements:
         self.inverses[:] = [next(reductions).inverse]
         for blocks, reduced in zip(self._blocks, reductions, strict=True):
             for (f, g), matrix in blocks.items():
-                self._elimination.fill(matrix, f, g, self._part(reduced, f, g))
+                self._elimination.blocks.fill(matrix, f, g, self._part(reduced, f, g))
             self.inverses.append(reduced.inverse)
         # A nest has to be told that its blocks have changed.
         for system in self.systems[:-1]:
@@ -303,10 +214,10 @@ class SchurComplements:
             return reduced.uu
         if f == 0:
             return self._part(reduced, g, f).transpose(0, 2, 1)
-        rows = self._elimination.place(f, reduced.fields)
+        rows = self._elimination.blocks.place(f, reduced.fields)
         if g == 0:
             return reduced.B[:, rows]
-        return reduced.D[:, rows, self._elimination.place(g, reduced.fields)]
+        return reduced.D[:, rows, self._elimination.blocks.place(g, reduced.fields)]
 
 
 class DiagonalBlocks:
@@ -317,7 +228,7 @@ class DiagonalBlocks:
             is taken as it is.
         parts: The fields of each block.
         splits: Their index sets, in a list of one list.
-        inverses: |D_gg|⁻¹ of each group, shape (owned cells, m, m).
+        inverses: |D_gg|⁻¹ of each group, shape (parts, m, m).
         K: The condensed matrix.
     """
 
@@ -330,7 +241,10 @@ class DiagonalBlocks:
         self.splits = [[_index_set(layout, part, fields) for part in self.parts[0]]]
         self.inverses: list[Floats] = []
         self._blocks = {
-            (f, g): elimination.matrix(f, g) for part in self.parts[0] for f in part for g in part
+            (f, g): elimination.blocks.matrix(f, g)
+            for part in self.parts[0]
+            for f in part
+            for g in part
         }
         elimination.tell_block_sizes(_getter(self._blocks))
         self.K = self._blocks[0, 0]
@@ -342,16 +256,16 @@ class DiagonalBlocks:
         self.inverses.clear()
         for reduced in self._elimination.reductions():
             if not reduced.group:
-                self._elimination.fill(self.K, 0, 0, reduced.uu)
+                self._elimination.blocks.fill(self.K, 0, 0, reduced.uu)
                 break
             g = self._elimination.places(reduced.group, reduced.fields)
             block, inverse = _absolute(reduced.D[:, g[:, None], g])
             self.inverses.append(inverse)
-            place = self._elimination.place
+            place = self._elimination.blocks.place
             for f in reduced.group:
                 for h in reduced.group:
                     part = block[:, place(f, reduced.group), place(h, reduced.group)]
-                    self._elimination.fill(self._blocks[f, h], f, h, part)
+                    self._elimination.blocks.fill(self._blocks[f, h], f, h, part)
         self.systems[0].assemble()
 
 

@@ -13,10 +13,12 @@ from petsc4py import PETSc
 
 from dolfinx import fem
 
-from solvers.compiled import weakly
-from solvers.condensation import forget_factors, rigid_body_modes
-from solvers.elimination import DiagonalBlocks, Elimination, Floats, SchurComplements
+from solvers.condensation import Floats, LocalBlocks
+from solvers.condensed import rigid_body_modes
+from solvers.elimination import DiagonalBlocks, Elimination, SchurComplements
 from solvers.layout import BlockLayout, Ints, require_local
+from solvers.lifetime import weakly
+from solvers.linear import forget_factors
 from solvers.options import KEEP_WHILE, Options
 from solvers.preconditioners import INEXACT, Preconditioner
 
@@ -33,6 +35,9 @@ class FieldSplitSolver:
         inner: Iterations on the condensed matrix since the last `start`; 1 for each application of
             a preconditioner alone.
         seconds: Wall time since the last `start` by phase: "condensation".
+        notes: Empty.
+        target: Not looked at: PETSc's tolerances follow the residual.
+        unstable: Empty.
     """
 
     def __init__(
@@ -64,6 +69,10 @@ class FieldSplitSolver:
         if len(fields) == 1:
             self.options = {**INEXACT, **preconditioner.options}
         set_options(self.options)
+        self.notes: dict[int, str] = {}
+        self.target = 0.0
+        self.unstable = ""
+        self._P: PETSc.Mat | None = None
         # Of the condensed matrix.
         self._innermost = ksp
         self._iterative: PETSc.KSP | None = None
@@ -75,11 +84,14 @@ class FieldSplitSolver:
 
     def start(self) -> None:
         """Begin a new nonlinear solve."""
-        self.inner = 0
+        self.inner = self._counted = 0
         self.seconds = {"condensation": 0.0}
 
+    def restart(self) -> None:
+        """Nothing."""
+
     def set_up(self, A: PETSc.Mat) -> PETSc.Mat:
-        """Choose the order of elimination, and make the preconditioner.
+        """Choose the order of elimination, and make the preconditioner, once.
 
         Args:
             A: The scaled Jacobian, assembled.
@@ -87,9 +99,11 @@ class FieldSplitSolver:
         Returns:
             The matrix that PETSc is to build the preconditioner of.
         """
+        if self._P is not None:
+            return self._P
         K, P = A, A
         if len(self._fields) > 1:
-            self.elimination = Elimination(self._fields, self._layout, A)
+            self.elimination = Elimination(LocalBlocks(self._layout, A))
             if self._preconditioner.nested:
                 self.blocks = SchurComplements(self.elimination)
             else:
@@ -106,6 +120,7 @@ class FieldSplitSolver:
             self._ksp.setOperators(A, P)
             self._ksp.setFromOptions()
             self._split(self._ksp.getPC(), names)
+        self._P = P
         return P
 
     def _watch(self, ksp: PETSc.KSP) -> None:
@@ -120,7 +135,7 @@ class FieldSplitSolver:
         self.inner += iterations
         self._cost = max(self._cost, iterations)
 
-    def update(self) -> None:
+    def follow(self) -> None:
         """Follow the Jacobian, which has changed.
 
         An iterative solver's preconditioner of the condensed matrix is kept while it serves.
@@ -136,8 +151,14 @@ class FieldSplitSolver:
             self._cost = 0
         self.seconds["condensation"] += time.perf_counter() - start
 
-    def forget_factors(self) -> str:
-        """See `condensation.forget_factors`."""
+    def count(self) -> tuple[int, int | None]:
+        """Iterations of the last solve, and those on the condensed matrix since the last call."""
+        inner = self.inner - self._counted
+        self._counted = self.inner
+        return int(self._ksp.getIterationNumber()), inner
+
+    def why(self) -> str:
+        """What the factorisation of the condensed matrix says."""
         return forget_factors(self._innermost)
 
     def _name(self, field: int) -> str:
@@ -176,8 +197,8 @@ class LocalInverse:
         """Keep references.
 
         Args:
-            rows: This rank's unknowns of the group on each owned cell, shape (cells, m).
-            inverses: Current inverses of the groups, each of shape (cells, m, m).
+            rows: This rank's unknowns of the group on each part, shape (parts, m).
+            inverses: Current inverses of the groups, each of shape (parts, m, m).
             number: The group.
         """
         self._rows, self._inverses, self._number = rows, inverses, number

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 from mpi4py import MPI
 
@@ -18,6 +19,7 @@ class BlockLayout:
 
     Attributes:
         comm: Communicator of the mesh.
+        block_sizes: Components that a dof of each field's space has.
         cells: Number of cells this rank owns.
         points: Points of a cell at which the fields after the first live, if all live at the points
             of one quadrature rule; else 1. Unknowns of two points are not coupled.
@@ -29,6 +31,7 @@ class BlockLayout:
         self._dofmaps = [f.function_space.dofmap for f in fields]
         mesh = fields[0].function_space.mesh
         self.comm: MPI.Comm = mesh.comm
+        self.block_sizes = [m.index_map_bs for m in self._dofmaps]
         self.cells: int = mesh.topology.index_map(mesh.topology.dim).size_local
         widths = {m.list.shape[1] for m in self._dofmaps[1:]}
         pointwise = all(f.function_space.ufl_element().has_custom_quadrature for f in fields[1:])
@@ -85,6 +88,11 @@ class BlockLayout:
         return int((index_map.size_local + index_map.num_ghosts) * dofmap.index_map_bs)
 
 
+def is_local(f: Any) -> bool:
+    """Whether cells share no degree of freedom of a field: all of its element's are inside."""
+    return not any(dofs for entities in f.ufl_element().entity_dofs[:-1] for dofs in entities)
+
+
 def require_local(fields: Sequence[fem.Function]) -> None:
     """Insist that every field but the first is local to cells.
 
@@ -92,9 +100,7 @@ def require_local(fields: Sequence[fem.Function]) -> None:
         ValueError: One is not.
     """
     for f in fields[1:]:
-        dofmap = f.function_space.dofmap
-        dofs = dofmap.index_map.size_local + dofmap.index_map.num_ghosts
-        if dofmap.list.size > dofs:  # cells share some
+        if not is_local(f):
             raise ValueError(
                 f"the field {f.name} is not local to cells; condensation needs every field but "
                 'the first to be discontinuous, or choose solver="direct"'

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 import weakref
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from mpi4py import MPI
@@ -41,6 +41,18 @@ def destroy_dead(comm: MPI.Comm) -> None:
         for thing in _dead.pop((group, serial)):
             if hasattr(thing, "destroy"):
                 thing.destroy()
+
+
+def weakly[**P, T](method: Callable[P, T]) -> Callable[P, T]:
+    """A function that calls a bound method without keeping its object alive."""
+    reference = weakref.WeakMethod(method)
+
+    def call(*args: P.args, **kwargs: P.kwargs) -> T:
+        bound = reference()
+        assert bound is not None
+        return bound(*args, **kwargs)
+
+    return call
 
 
 def _group(comm: MPI.Comm) -> _Group:

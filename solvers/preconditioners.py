@@ -16,13 +16,14 @@ rest, the next one in the rest of the one before. The parts have options under t
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from solvers.options import (
     CONDENSED_CG,
     CONDENSED_DIRECT,
-    DIRECT_UP_TO,
     FORCING_LIMITS,
+    SCHUR_DIRECT_UP_TO,
+    UNSYMMETRIC,
     Options,
 )
 
@@ -130,6 +131,17 @@ class Preconditioner:
         pc = {key: value for key, value in self.displacement.items() if not key.startswith("ksp_")}
         return {**pc, **self.krylov}
 
+    @property
+    def unsymmetric(self) -> bool:
+        """Whether it can be of use where the Newton matrix is not symmetric."""
+        return self.krylov is not MINRES
+
+    def for_unsymmetric(self) -> Preconditioner:
+        """The same for a matrix that is not symmetric: LU in the place of LDLᵀ."""
+        if self.displacement is not MUMPS:
+            return self
+        return replace(self, displacement={**MUMPS, **UNSYMMETRIC["preonly"]})
+
     def split_options(
         self, parts: Sequence[Sequence[str]], point_blocks: Sequence[bool]
     ) -> Options:
@@ -196,7 +208,7 @@ def find(name: str, unknowns: int) -> Preconditioner:
         ValueError: There is none of that name.
     """
     if name == BY_SIZE:
-        name = "schur-full-mumps" if unknowns <= DIRECT_UP_TO else "schur-full-gmres"
+        name = "schur-full-mumps" if unknowns <= SCHUR_DIRECT_UP_TO else "schur-full-gmres"
     if name not in PRECONDITIONERS:
         known = ", ".join([BY_SIZE, *PRECONDITIONERS])
         raise ValueError(f"preconditioner is {name!r}; available: {known}")

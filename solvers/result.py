@@ -22,6 +22,9 @@ class SolveResult:
             "condensation" where cell-local fields are eliminated, "setup" of the preconditioner
             where the condensed solver makes one.
         notes: What the linear solver had to say, by the number of the Newton iteration.
+        unstable: What tells that the state is no minimum of the energy, such as "1 negative
+            eigenvalue" of the condensed matrix; empty if nothing does. Of the matrix of the last
+            iteration: LDLᵀ counts, conjugate gradients may meet negative curvature.
         inner: With block preconditioners, of each Newton iteration the number of iterations on the
             condensed matrix, all its solves together; of applications, if it has no iteration.
     """
@@ -34,6 +37,7 @@ class SolveResult:
     timings: dict[str, float] = field(repr=False)
     notes: dict[int, str] = field(default_factory=dict, repr=False)
     inner: list[int] = field(default_factory=list, repr=False)
+    unstable: str = ""
 
     @property
     def krylov_iterations(self) -> int:

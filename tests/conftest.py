@@ -24,12 +24,11 @@ from mpi4py import MPI
 import hypothesis
 import numpy as np
 import pytest
-from dolfinx.jit import DOLFINX_DEFAULT_JIT_OPTIONS
 
-# Compiling is what the tests take time for, and not what they are about: a third of it this way.
-DOLFINX_DEFAULT_JIT_OPTIONS["cffi_extra_compile_args"] = (["-O0", "-g0"], "compiler arguments")
-# Processes that share the tests wait for one another's forms.
-DOLFINX_DEFAULT_JIT_OPTIONS["timeout"] = (300, "seconds")
+# Compiling is what the tests take time for, and not what they are about: with the options there, a
+# third of it. Processes that the tests start take them too, and so find the same forms.
+os.environ["XDG_CONFIG_HOME"] = str(Path(__file__).parent / "config")
+os.environ.setdefault("MPLCONFIGDIR", str(Path(__file__).parents[1] / ".cache" / "matplotlib"))
 
 WAIT = 300.0  # [s] for the others to end a phase that this rank has passed
 WAIT_AFTER_FAILURE = 30.0  # [s] for the others to end a phase that this rank has failed
@@ -45,6 +44,12 @@ hypothesis.settings.register_profile(
     phases=(hypothesis.Phase.explicit, hypothesis.Phase.generate),
 )
 hypothesis.settings.load_profile("mixed-fem" if comm.size == 1 else "mixed-fem-mpi")
+
+
+def pytest_collection_finish() -> None:
+    """Let the garbage collector pass over what has been imported, and over much else less often."""
+    gc.freeze()
+    gc.set_threshold(20_000, 20, 20)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -107,10 +112,18 @@ class ParallelRun:
         return report
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)
-    def pytest_runtest_protocol(self, item: pytest.Item) -> Generator[None, object, object]:
-        """Destroy what a test leaves behind at the same place on all ranks."""
+    def pytest_runtest_protocol(
+        self, item: pytest.Item, nextitem: pytest.Item | None
+    ) -> Generator[None, object, object]:
+        """Destroy what a test leaves behind at the same place on all ranks.
+
+        Of what it has made itself; at the end of a file of all there is, which takes its time.
+        """
         result = yield
+        if nextitem is None or nextitem.path != item.path:
+            gc.unfreeze()
         gc.collect()
+        gc.freeze()
         self.exchange([0], f"{item.nodeid} (garbage collection)")
         return result
 

@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-import importlib.util
-from pathlib import Path
-
 from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-import pytest
 from dolfinx import fem, mesh
 
-from demos.cli import main
-from demos.studies import Record, Study
-from forms.discrete import MATERIALS as WITNESSED
+from demos.by_hand import MATERIALS as WITNESSED
 from solvers import MixedProblem
 
 # What breadth in three dimensions is for: the formulations and materials with a witness or a
 # kernel. All of them, in two dimensions, are the matter of test_formulations.
 FIRST_FORMULATIONS = ("symmetric", "seed", "displacement")
 FIRST_MATERIALS = tuple(WITNESSED)
+FIRST = [(2, f, m) for f in FIRST_FORMULATIONS for m in FIRST_MATERIALS]
+FIRST += [(3, f, "stable-neo-hookean") for f in FIRST_FORMULATIONS]
+FIRST += [(3, "displacement", "corotational")]  # where R has its second derivative
 
 
 def small_mesh(d: int, *, simplices: bool = True) -> mesh.Mesh:
@@ -109,23 +106,3 @@ def dense(A: PETSc.Mat) -> np.ndarray:
     rows = np.zeros((last - first, A.size[1]))
     rows[np.repeat(np.arange(last - first), np.diff(indptr)), columns] = values
     return np.vstack(A.comm.tompi4py().allgather(rows))
-
-
-def run_quick(name: str, folder: Path) -> int:
-    """`mixed-fem study NAME --quick`: its exit code; it has written a table and a figure."""
-    code = main(["study", name, "--quick", "--out", str(folder)])
-    found = {path.name for path in folder.iterdir() if path.is_file() and path.stat().st_size}
-    assert {f"{name}.csv", f"{name}.json"} <= found
-    if importlib.util.find_spec("matplotlib"):
-        assert {f"{name}.pdf", f"{name}.png"} <= found
-    return code
-
-
-def show(study: Study, records: list[Record]) -> None:
-    """Make the table of a study, and its figure where there is matplotlib; rank 0 as in a run."""
-    matplotlib = pytest.importorskip("matplotlib.figure")
-    if MPI.COMM_WORLD.rank == 0:
-        assert len(study.table(records)) > len(records) // 2
-        figure = matplotlib.Figure(layout="constrained")
-        study.draw(records, figure)
-        figure.draw_without_rendering()

@@ -10,14 +10,12 @@ from mpi4py import MPI
 
 import numpy as np
 import numpy.typing as npt
-import ufl
-from dolfinx import fem, mesh
+from dolfinx import mesh
 
-from demos.scene import SCHEMES
-from forms import FORMULATIONS, MATERIALS, BackwardEuler, Formulation, Material, by_tag
+from forms import MATERIALS, SCHEMES, Fixed, Gravity, Model, Scheme, by_tag
 from forms.materials import StrainEnergy
 from meshes import Body, Where, box
-from solvers import ConvergenceError, MixedProblem, SolveResult
+from solvers import ConvergenceError, MixedProblem, SolveResult, Strategy
 
 Array = npt.NDArray[np.float64]
 
@@ -33,24 +31,16 @@ class Bar:
     """A bar in one formulation, step by step.
 
     Attributes:
-        form: The formulation.
-        psi: The strain energy.
-        fields: The unknowns.
-        bcs: What holds the bar.
+        model: What the bar is.
         scheme: The time scheme.
         problem: The Newton system.
-        kernel: Its compiled kernel, if it has one.
         results: One for each step, the failed one included.
         failure: Why the last step failed, or nothing.
     """
 
-    form: Formulation
-    psi: StrainEnergy
-    fields: tuple[fem.Function[Any], ...]
-    bcs: list[fem.DirichletBC[Any]]
-    scheme: BackwardEuler
+    model: Model
+    scheme: Scheme
     problem: MixedProblem
-    kernel: Any
     results: list[SolveResult]
     failure: str = ""
 
@@ -58,13 +48,14 @@ class Bar:
         """Solve and advance, unless a step has failed. Collective."""
         if self.failure:
             return
+        self.model.update(self.scheme)
         try:
             self.results.append(self.problem.solve())
         except ConvergenceError as error:
             self.results.append(error.result)
             self.failure = error.result.reason
             return
-        self.scheme.advance()
+        self.model.accept(self.scheme)
 
 
 def bar(
@@ -77,13 +68,14 @@ def bar(
     contrast: float = 1.0,
     scheme: str = "backward-euler",
     material: str = "stable-neo-hookean",
+    psi: StrainEnergy | None = None,
     dimension: int = 3,
     support: str = "clamped",
-    compiled: bool = True,
-    projected: bool = False,
+    globalisation: str | Strategy | None = None,
     solver: str = "condensed",
     preconditioner: str | None = None,
     options: Mapping[str, Any] | None = None,
+    body: Body | None = None,
 ) -> Bar:
     """Build a bar at rest, or spinning. Collective.
 
@@ -94,39 +86,37 @@ def bar(
         E: Young's modulus [Pa].
         h: Time step [s].
         contrast: How many times stiffer than E the second and the last metre of the bar are.
-        scheme: A name in `demos.scene.SCHEMES`.
+        scheme: A name in `forms.SCHEMES`.
         material: A name in `forms.MATERIALS`.
+        psi: A strain energy density in the place of that material.
         dimension: 2 or 3.
         support: One of `SUPPORTS`.
-        compiled: Whether to use a compiled kernel where there is one.
-        projected: See `solvers.MixedProblem`.
+        globalisation: See `solvers.MixedProblem`.
         solver: A name in `solvers.SOLVERS`.
         preconditioner: A name in `solvers.PRECONDITIONERS`, with `solver="fieldsplit"`.
         options: PETSc options.
+        body: Its mesh, if there is one already.
     """
     d = dimension
-    body = box(comm, size=(4.0, 1.0, 1.0)[:d], cells=(4 * n, n, n)[:d])
-    form = FORMULATIONS[formulation]
-    fields = form.fields(body.mesh)
-    u = fields[0]
-    V = u.function_space
+    body = body or mesh_of_bar(comm, n, d)
     law = MATERIALS[material](E, NU)
-    psi: StrainEnergy = law
-    by_cell: Material | tuple[str, Array, Array] = law
+    psi = psi or law
     if contrast != 1.0:
         tags = _tagged(body)
         laws = (law, MATERIALS[material](contrast * E, NU))
         psi = by_tag(body.mesh, tags, dict(enumerate(laws)))
-        mine = tags.values[: len(body.file_cells)]
-        mu, lam = (np.choose(mine, [getattr(m, name) for m in laws]) for name in ("mu", "lam"))
-        by_cell = (material, mu, lam)
-    gravity = (0.0, -GRAVITY if support == "clamped" else 0.0, 0.0)[:d]
-    time = SCHEMES[scheme](u, h, gravity)
-    bcs = []
-    if support == "clamped":
-        dofs = body.dofs(V, Where(extents=(("x", "min"),)))
-        bcs.append(fem.dirichletbc(np.zeros(d), dofs, V))
-    else:
+    clamped = support == "clamped"
+    model = Model(
+        body,
+        formulation,
+        psi,
+        rho=RHO,
+        loads=[Gravity((0.0, -GRAVITY, 0.0)[:d])] if clamped else [],
+        motions=[Fixed(Where(extents=(("x", "min"),)))] if clamped else [],
+    )
+    time = SCHEMES[scheme](model.u, h)
+    if not clamped:
+        V = model.u.function_space
         X = V.tabulate_dof_coordinates()
         velocity = np.zeros((len(X), d))
         if support == "rotating":
@@ -134,20 +124,22 @@ def bar(
         else:
             velocity[:, 1] = (X[:, 0] - 2.0) ** 2 - 4.0 / 3.0  # ∫ v = 0
         time.v.x.array[:] = velocity.ravel()
-    kinetic = time.kinetic(RHO) * ufl.dx
-    kernel = form.kernel(*fields, by_cell) if compiled and form.kernel is not None else None
-    energy = kinetic if kernel is not None else form.density(*fields, psi) * ufl.dx + kinetic
     problem = MixedProblem(
-        energy,
-        fields,
-        bcs,
+        model.energy(time),
+        model.fields,
+        model.bcs,
         solver=solver,
         preconditioner=preconditioner,
-        kernel=kernel,
-        projected=projected,
+        globalisation=globalisation,
         options=options,
     )
-    return Bar(form, psi, fields, bcs, time, problem, kernel, [])
+    return Bar(model, time, problem, [])
+
+
+def mesh_of_bar(comm: MPI.Comm, n: int, dimension: int = 3) -> Body:
+    """The mesh of a bar with n cells across and 4 n along it. Collective."""
+    d = dimension
+    return box(comm, size=(4.0, 1.0, 1.0)[:d], cells=(4 * n, n, n)[:d])
 
 
 def _tagged(body: Body) -> mesh.MeshTags:

@@ -7,15 +7,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
 from scipy.linalg import expm
 from scipy.optimize import brentq
 from scipy.special import ellipe, ellipeinc, ellipk, ellipkinc
 
-from demos.scene import SCHEMES
-from forms import FORMULATIONS, Formulation, measure
+from forms import BackwardEuler, Fixed, Model, Scheme, Static, Traction
 from forms.materials import StrainEnergy
+from meshes import Body, Where
 from solvers import MixedProblem
 
 MATTIASSON = {
@@ -85,17 +84,17 @@ def timoshenko_frequency(slenderness: float) -> float:
 
 @dataclass
 class Cantilever:
-    """A plane body held where X₁ = 0, with a dead force on the face where X₁ is largest.
+    """A plane body held where X₁ is least, with a dead force on the face where it is largest.
 
     Attributes:
         fields: The unknowns.
-        scheme: The time scheme, or None in statics.
+        scheme: The time scheme.
         problem: The Newton system.
         traction: Force by area of the face at rest [Pa], a constant of shape (2,).
     """
 
     fields: tuple[fem.Function[Any], ...]
-    scheme: Any
+    scheme: Scheme
     problem: MixedProblem
     traction: fem.Constant
     _mean: list[Any]
@@ -109,7 +108,7 @@ class Cantilever:
 
 
 def cantilever(
-    msh: mesh.Mesh,
+    body: Body,
     formulation: str,
     psi: StrainEnergy,
     *,
@@ -121,32 +120,27 @@ def cantilever(
     """Build a body at rest. Collective.
 
     Args:
-        msh: A plane mesh from X₁ = 0.
+        body: A plane body.
         formulation: A name in `forms.FORMULATIONS`.
         psi: Strain energy density, in plane strain.
-        degree: Of the displacement.
+        degree: Of the element.
         rho: Density [kg/m³]; statics by default.
         h: Time step [s], with a density.
         options: PETSc options.
     """
-    form: Formulation = FORMULATIONS[formulation]
-    fields = form.fields(msh, degree)
-    u = fields[0]
-    V = u.function_space
-    length = msh.comm.allreduce(msh.geometry.x[:, 0].max(initial=0.0), op=max)
-    facets = mesh.locate_entities_boundary(msh, 1, lambda X: np.isclose(X[0], length))
-    tags = mesh.meshtags(msh, 1, np.sort(facets), np.ones(len(facets), dtype=np.int32))
-    ds = ufl.Measure("ds", domain=msh, subdomain_data=tags)(1)
-    traction = fem.Constant(msh, np.zeros(2))
-    energy = form.density(*fields, psi) * measure(u)
-    scheme = None
-    if rho:
-        scheme = SCHEMES["backward-euler"](u, h)
-        energy += scheme.kinetic(rho) * ufl.dx
-    energy -= ufl.inner(traction, u) * ds
-    held = fem.locate_dofs_geometrical(V, lambda X: np.isclose(X[0], 0.0))
-    bc = fem.dirichletbc(np.zeros(2), held, V)
-    problem = MixedProblem(energy, fields, [bc], options=options)
-    one = fem.Constant(msh, 1.0)
-    mean = [fem.form(e * ds) for e in (one, u[0], u[1])]
-    return Cantilever(fields, scheme, problem, traction, mean)
+    held, loaded = (Where(extents=(("x", end),)) for end in ("min", "max"))
+    traction = fem.Constant(body.mesh, np.zeros(2))
+    model = Model(
+        body,
+        formulation,
+        psi,
+        rho=rho or None,
+        loads=[Traction(traction, loaded)],
+        motions=[Fixed(held)],
+        degree=degree,
+    )
+    scheme = BackwardEuler(model.u, h) if rho else Static(model.u)
+    problem = MixedProblem(model.energy(scheme), model.fields, model.bcs, options=options)
+    one = fem.Constant(body.mesh, 1.0)
+    mean = [fem.form(e * body.ds(loaded)) for e in (one, *model.u)]
+    return Cantilever(model.fields, scheme, problem, traction, mean)

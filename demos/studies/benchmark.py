@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING
 from mpi4py import MPI
 
 import numpy as np
-from dolfinx.mesh import Mesh
 
 from demos.studies.beams import (
     CLAMPED_FREE,
@@ -28,9 +27,10 @@ from demos.studies.beams import (
     elastica,
     timoshenko_frequency,
 )
-from demos.studies.study import Parameters, Record, Study
+from demos.studies.records import Column, Record, aligned, cells, groups, select
+from demos.studies.study import Parameters, Study
 from forms import Corotational
-from meshes import box
+from meshes import Body, box
 from solvers import ConvergenceError
 
 if TYPE_CHECKING:
@@ -62,14 +62,14 @@ def compute(comm: MPI.Comm, parameters: Parameters) -> Record:
     """Load the beam, or let it swing. Collective."""
     kind, n = parameters["kind"], parameters["cells"]
     t = LENGTH / SLENDERNESS[kind]
-    msh = box(comm, (LENGTH, t), (n * SLENDERNESS[kind], n)).mesh
+    body = box(comm, (LENGTH, t), (n * SLENDERNESS[kind], n))
     psi = Corotational(E=12 / t**3, nu=0.0)  # E I = 1 N m
     measure = {"elastica": _elastica, "vibration": _vibration}[kind]
-    return measure(msh, parameters["formulation"], psi, t)
+    return measure(body, parameters["formulation"], psi, t)
 
 
-def _elastica(msh: Mesh, formulation: str, psi: Corotational, t: float) -> Record:
-    beam = cantilever(msh, formulation, psi)
+def _elastica(body: Body, formulation: str, psi: Corotational, t: float) -> Record:
+    beam = cantilever(body, formulation, psi)
     iterations, tips = [], []
     for load in LOADS:
         beam.traction.value[1] = load / t
@@ -90,11 +90,11 @@ def _elastica(msh: Mesh, formulation: str, psi: Corotational, t: float) -> Recor
     }
 
 
-def _vibration(msh: Mesh, formulation: str, psi: Corotational, t: float) -> Record:
+def _vibration(body: Body, formulation: str, psi: Corotational, t: float) -> Record:
     unit = 1 / np.sqrt(RHO * t) / LENGTH**2  # [1/s] for E I = 1
     h = 2 * np.pi / (CLAMPED_FREE**2 * unit) / PERIOD_STEPS
     # A step of so many periods is a static solution.
-    beam = cantilever(msh, formulation, psi, rho=RHO, h=1e6 * h)
+    beam = cantilever(body, formulation, psi, rho=RHO, h=1e6 * h)
     beam.traction.value[1] = 3 * TIP * LENGTH / t
     try:
         beam.problem.solve()
@@ -139,89 +139,71 @@ def extrapolated(coarse: float, fine: float) -> float:
     return fine + (fine - coarse) / 3
 
 
-def _series(records: Sequence[Record], kind: str) -> dict[str, list[Record]]:
-    """Records of a benchmark by formulation."""
-    series: dict[str, list[Record]] = {}
-    for r in records:
-        if r["kind"] == kind:
-            series.setdefault(r["formulation"], []).append(r)
-    return series
-
-
-def limits(levels: Sequence[Record]) -> Record:
-    """Deviations from the references of the values extrapolated from the finest two levels.
-
-    Of w at each load of the elastica, or of the frequency.
-    """
+def limit(levels: Sequence[Record]) -> Record:
+    """What the finest two levels are extrapolated to, and its deviation from the reference."""
     coarse, fine = levels[-2:]
     if fine["kind"] == "vibration":
-        return {"frequency": extrapolated(coarse["frequency"], fine["frequency"])}
-    return {
+        frequency = extrapolated(coarse["frequency"], fine["frequency"])
+        return {"frequency": frequency, "deviation": frequency / fine["timoshenko"] - 1}
+    tips = {
         name: [extrapolated(a, b) for a, b in zip(coarse[name], fine[name], strict=True)]
         for name in ("u", "w")
     }
+    return {**tips, "deviation": tips["w"][-1] / fine["w_elastica"][-1] - 1}
+
+
+_TIPS = {f"u/L, w/L at {load:g}": LOADS.index(load) for load in MATTIASSON}
+_STATIC: dict[str, Column] = {
+    "formulation": "{formulation}",
+    "cells": "{cells}",
+    **{heading: f"{{u[{k}]:.5f}}, {{w[{k}]:.5f}}" for heading, k in _TIPS.items()},
+    "deviation": "{deviation:+.4f}",
+    "iterations": lambda r: str(sum(r["iterations"]) or ""),
+}
+_DYNAMIC: dict[str, Column] = {
+    "formulation": "{formulation}",
+    "cells": "{cells}",
+    "frequency": "{frequency:.4f}",
+    "deviation": "{deviation:+.4f}",
+}
 
 
 def table(records: Sequence[Record]) -> list[str]:
     """Tip displacements at the loads of Mattiasson's table, frequencies, deviations by level."""
-    lines = ["", "Cantilever under a tip load, L / t = 50; deviation of w at P L²/(E I) = 10:", ""]
-    loads = [LOADS.index(load) for load in MATTIASSON]
-    titles = "  ".join(f"{f'u/L, w/L at {load:g}':^17}" for load in MATTIASSON)
-    header = f"{'formulation':<14} {'cells':>5}  {titles}  {'deviation':>9}  iterations"
-    lines.append(header)
-    for formulation, levels in _series(records, "elastica").items():
-        for r in levels:
-            lines.append(f"{formulation:<14} {r['cells']:>5}  {_tips(r, loads)}")
+    static, dynamic = [list(_STATIC)], [list(_DYNAMIC)]
+    for (kind, _), levels in groups(records, "kind", "formulation").items():
+        rows, columns = (static, _STATIC) if kind == "elastica" else (dynamic, _DYNAMIC)
+        rows += [cells(r, columns, case=2) for r in levels]
         if len(levels) > 1 and not any(r["failure"] for r in levels[-2:]):
-            limit = limits(levels)
-            deviation = limit["w"][-1] / levels[-1]["w_elastica"][-1] - 1
-            shown = "  ".join(f"{limit['u'][k]:.5f}, {limit['w'][k]:.5f} " for k in loads)
-            lines.append(f"{'':<14} {'limit':>5}  {shown}  {deviation:>+9.4f}")
-    published = "  ".join(f"{u:.5f}, {w:.5f} " for u, w in MATTIASSON.values())
-    lines.append(f"{'Mattiasson (1981)':<20}  {published}")
-    lines += ["", "First frequency of a cantilever in √(EI/ρA)/L², L / t = 20:", ""]
-    lines.append(f"{'formulation':<14} {'cells':>5}  {'frequency':>9}  {'deviation':>9}")
-    for formulation, levels in _series(records, "vibration").items():
-        for r in levels:
-            shown = r["failure"] or f"{r['frequency']:>9.4f}  {r['deviation']:>+9.4f}"
-            lines.append(f"{formulation:<14} {r['cells']:>5}  {shown}")
-        if len(levels) > 1 and not any(r["failure"] for r in levels[-2:]):
-            frequency = limits(levels)["frequency"]
-            deviation = frequency / levels[-1]["timoshenko"] - 1
-            lines.append(f"{'':<14} {'limit':>5}  {frequency:>9.4f}  {deviation:>+9.4f}")
-    lines.append(
+            last = {"formulation": "", "cells": "limit", "iterations": [], **limit(levels)}
+            rows.append(cells(last, columns))
+    published = [f"{u:.5f}, {w:.5f}" for u, w in MATTIASSON.values()]
+    static.append(["Mattiasson (1981)", "", *published, "", ""])
+    return [
+        "",
+        "Cantilever under a tip load, L / t = 50; deviation of w at P L²/(E I) = 10:",
+        "",
+        *aligned(static),
+        "",
+        "First frequency of a cantilever in √(EI/ρA)/L², L / t = 20:",
+        "",
+        *aligned(dynamic),
         f"Timoshenko: {timoshenko_frequency(SLENDERNESS['vibration']):.4f}, "
-        f"Bernoulli: {CLAMPED_FREE**2:.4f}"
-    )
-    return lines
-
-
-def _tips(r: Record, loads: Sequence[int]) -> str:
-    if r["failure"]:
-        return f"fails: {r['failure']}"
-    shown = "  ".join(f"{r['u'][k]:.5f}, {r['w'][k]:.5f} " for k in loads)
-    return f"{shown}  {r['deviation']:>+9.4f}  {sum(r['iterations'])}"
+        f"Bernoulli: {CLAMPED_FREE**2:.4f}",
+    ]
 
 
 def verdict(records: Sequence[Record]) -> list[str]:
     """Mixed values that fail, or whose limit is not where the reference is."""
     lines = []
-    for kind, within in WITHIN.items():
-        levels = _series(records, kind).get("symmetric", [])
+    for (kind,), levels in groups(select(records, formulation="symmetric"), "kind").items():
         failed = [r for r in levels if r["failure"]]
         lines += [f"{kind}, {r['cells']} cells across: {r['failure']}" for r in failed]
         if failed or len(levels) < 2:
             continue
-        limit = limits(levels)
-        found, wanted = (
-            (limit["frequency"], levels[-1]["timoshenko"])
-            if kind == "vibration"
-            else (limit["w"][-1], levels[-1]["w_elastica"][-1])
-        )
-        if not abs(found / wanted - 1) < within:
-            lines.append(
-                f"{kind}: the limit is {found:.5f}, more than {within:g} from {wanted:.5f}"
-            )
+        deviation, within = limit(levels)["deviation"], WITHIN[kind]
+        if not abs(deviation) < within:
+            lines.append(f"{kind}: the limit is {deviation:+.1e} off, more than {within:g}")
     return lines
 
 
@@ -238,20 +220,19 @@ def draw(records: Sequence[Record], figure: Figure) -> None:
             name, (LOADS[-2], elastica(LOADS[-2])[k]), (0, -16), textcoords="offset points"
         )
     across = sorted({r["cells"] for r in records})
-    for r in (r for r in records if r["kind"] == "elastica" and not r["failure"]):
+    for r in select(records, kind="elastica", failure=""):
         color = f"C{across.index(r['cells'])}"
         left.plot(LOADS, r["w"], "o", ms=3, color=color, label=f"w, {r['cells']} across")
         left.plot(LOADS, r["u"], "s", ms=3, mfc="none", color=color)
     left.set(xlabel="P L² / (E I)", ylabel="tip displacement / L", title="cantilever, tip load")
     left.legend(fontsize=7)
-    for kind, label in (("elastica", "w of the elastica"), ("vibration", "first frequency")):
-        for formulation, levels in _series(records, kind).items():
-            done = [r for r in levels if not r["failure"]]
-            deviations = [abs(r["deviation"]) for r in done]
-            style = "o-" if formulation == "symmetric" else "x--"
-            if done:
-                cells = [r["cells"] for r in done]
-                right.loglog(cells, deviations, style, ms=4, label=f"{label}, {formulation}")
+    names = {"elastica": "w of the elastica", "vibration": "first frequency"}
+    done = groups(select(records, failure=""), "kind", "formulation")
+    for (kind, formulation), levels in done.items():
+        deviations = [abs(r["deviation"]) for r in levels]
+        style = "o-" if formulation == "symmetric" else "x--"
+        label = f"{names[kind]}, {formulation}"
+        right.loglog([r["cells"] for r in levels], deviations, style, ms=4, label=label)
     right.set_xticks(across, [str(n) for n in across])
     right.minorticks_off()
     right.set(xlabel="cells across the beam", ylabel="relative deviation", title="by refinement")

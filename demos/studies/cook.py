@@ -16,11 +16,11 @@ from mpi4py import MPI
 import basix.ufl
 import numpy as np
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
 from dolfinx.fem.petsc import LinearProblem
 
 from forms import lame_parameters
-from meshes import box
+from meshes import Body, box
 
 HEIGHT = 16.0  # of the loaded face
 MIDDLE, CORNER = (48.0, 52.0), (48.0, 60.0)  # of the loaded face
@@ -40,13 +40,14 @@ PUBLISHED = {
 """Point and E w / F by ν, in plane strain."""
 
 
-def membrane(comm: MPI.Comm, n: int, cell: str = "triangle") -> mesh.Mesh:
+def membrane(comm: MPI.Comm, n: int, cell: str = "triangle") -> Body:
     """The panel cut into n × n quadrilaterals, or each of these into two triangles. Collective."""
-    msh = box(comm, (1.0, 1.0), (n, n), cell).mesh
-    s, t = msh.geometry.x[:, 0].copy(), msh.geometry.x[:, 1].copy()
-    msh.geometry.x[:, 0] = 48.0 * s
-    msh.geometry.x[:, 1] = 44.0 * s + t * (44.0 - 28.0 * s)
-    return msh
+    body = box(comm, (1.0, 1.0), (n, n), cell)
+    x = body.mesh.geometry.x
+    s, t = x[:, 0].copy(), x[:, 1].copy()
+    x[:, 0] = 48.0 * s
+    x[:, 1] = 44.0 * s + t * (44.0 - 28.0 * s)
+    return body
 
 
 def reference(comm: MPI.Comm, nu: float, point: tuple[float, float] = MIDDLE, n: int = 64) -> float:
@@ -60,7 +61,7 @@ def reference(comm: MPI.Comm, nu: float, point: tuple[float, float] = MIDDLE, n:
         point: A vertex of the mesh.
         n: Quadrilaterals along each edge.
     """
-    msh = membrane(comm, n)
+    msh = membrane(comm, n).mesh
     cell = msh.basix_cell()
     pair = [basix.ufl.element("P", cell, 2, shape=(2,)), basix.ufl.element("P", cell, 1)]
     W = fem.functionspace(msh, basix.ufl.mixed_element(pair))

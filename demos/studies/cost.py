@@ -1,30 +1,31 @@
 """`mixed-fem study cost`: what a mixed Newton iteration and step cost, beside the classical ones.
 
 The two formulations solve the same steps in turn, with the same mesh, material, linear solver and
-tolerances, both with compiled kernels. The displacement Newton comes in two variants, and the
-faster one that gets through counts: PETSc's backtracking on the residual, and the positive
-semi-definite projected tangent with Armijo's condition on the energy.
+tolerances, both on the engine. The displacement Newton comes in two variants, and the faster one
+that gets through counts: full steps, with backtracking on the residual where they fail, and the
+positive semi-definite projected tangent with Armijo's condition on the energy.
 """
 
 from __future__ import annotations
 
-import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from mpi4py import MPI
 
 import numpy as np
 
+from demos.studies import cells as engine
 from demos.studies.bar import Bar, bar
 from demos.studies.memory import forget_peak, peak_memory
-from demos.studies.study import Parameters, Record, Study
+from demos.studies.records import Column, Record, Remark, aligned, cells, matrix, select
+from demos.studies.study import Parameters, Study
 from solvers.options import CONDENSED_CG
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-VARIANTS = ("mixed", "backtracking", "projected")
+VARIANTS = ("mixed", "displacement", "projected")
 PHASES = ("residual", "jacobian", "condensation", "setup", "solve")
 
 # A bar of 4 m × 1 m × 1 m: cells across, 24 n³ tetrahedra.
@@ -54,7 +55,7 @@ def grid(quick: bool) -> list[Parameters]:
         for E in (1e4, 1e5, 1e6, 1e7, 1e8, 1e9)
         for h in (0.01, 0.1, 1.0)
     ]
-    return cases
+    return cases + engine.grid(quick)
 
 
 def _case(kind: str, n: int, material: str, E: float, h: float, steps: int) -> Parameters:
@@ -69,7 +70,7 @@ def _build(comm: MPI.Comm, variant: str, case: Parameters) -> Bar:
         comm,
         "symmetric" if variant == "mixed" else "displacement",
         **{name: case[name] for name in ("n", "E", "h", "material")},
-        projected=variant == "projected",
+        globalisation="projected-newton" if variant == "projected" else None,
         options=always_cg if case["kind"] == "mesh" else None,
     )
 
@@ -91,10 +92,14 @@ def _record(comm: MPI.Comm, run: Bar) -> Record:
 
 
 def compute(comm: MPI.Comm, case: Parameters) -> Record:
-    """Run the variants in turn, step by step. Collective."""
+    """Run the variants in turn, step by step, or what the engine measures. Collective."""
+    if case["kind"] not in ("mesh", "grid"):
+        return engine.compute(comm, case)
     variants = VARIANTS if case["kind"] == "grid" else VARIANTS[:2]
     for variant in variants:  # what is compiled or loaded once is not to be timed
-        _build(comm, variant, {**case, "n": 1, "E": 1e7, "h": 0.1}).step()
+        if (variant, case["kind"], case["material"]) not in _loaded:
+            _build(comm, variant, {**case, "n": 1, "E": 1e7, "h": 0.1}).step()
+            _loaded.add((variant, case["kind"], case["material"]))
     forget_peak()
     runs = {variant: _build(comm, variant, case) for variant in variants}
     for step in range(case["steps"]):
@@ -108,31 +113,12 @@ def compute(comm: MPI.Comm, case: Parameters) -> Record:
     if case["kind"] == "mesh":
         record["peak_memory"] = comm.allreduce(peak_memory())
         for variant, run in runs.items():
-            record[f"{variant}_local"] = comm.allreduce(_local_work(run), op=MPI.MAX)
+            work = sum(engine.local_work(run.problem).values())
+            record[f"{variant}_local"] = comm.allreduce(work, op=MPI.MAX)
     return record
 
 
-def _local_work(run: Bar) -> float:
-    """Seconds a cell on this rank: matrix, residual, elimination and recovery by the kernels.
-
-    Each time at another displacement, so that the kinematics count once.
-    """
-    kernel, arrays = run.kernel, [np.zeros_like(f.x.array) for f in run.fields]
-    u = run.fields[0].x.array
-    mesh = run.fields[0].function_space.mesh
-    blocks = np.zeros((len(kernel.couplings), mesh.geometry.dim, mesh.geometry.dim))
-    times = []
-    for _ in range(6):
-        u *= 1.0 + 1e-12
-        start = time.perf_counter()
-        kernel.residual(*arrays)
-        kernel.matrix(blocks)
-        if len(arrays) > 1:
-            kernel.eliminate(arrays[1], arrays[2], arrays[0])
-            kernel.recover(*arrays, *arrays[1:])
-        times.append(time.perf_counter() - start)
-    # The first compiles, or loads what is not in memory.
-    return _median(times[1:]) / mesh.topology.index_map(mesh.topology.dim).size_local
+_loaded: set[tuple[str, str, str]] = set()
 
 
 def _median(values: Sequence[float]) -> float:
@@ -163,7 +149,7 @@ def classical(record: Record) -> str:
 
 def _ratio(record: Record) -> float:
     """Seconds of a mixed iteration over those of a displacement iteration."""
-    return _per_iteration(record, "mixed") / _per_iteration(record, "backtracking")
+    return _per_iteration(record, "mixed") / _per_iteration(record, "displacement")
 
 
 def _faster(record: Record) -> float:
@@ -173,41 +159,32 @@ def _faster(record: Record) -> float:
 
 def table(records: Sequence[Record]) -> list[str]:
     """An iteration and a step on each mesh, then iterations and seconds over the grid."""
-    lines = [
+    rows = [list(_MESH)]
+    for r in select(records, kind="mesh"):
+        rows += [cells(_phases(r, variant), _MESH) for variant in VARIANTS[:2]]
+        step = _per_step(r, "displacement") / _per_step(r, "mixed")
+        ratios = f"mixed / displacement: an iteration {_ratio(r):.2f}, a step 1/{step:.1f}"
+        rows.append(["", Remark(ratios)])
+    if found := _growth(records):
+        first, last, (mixed, classic, krylov) = found
+        times = f"mixed {mixed:.2f}, displacement {classic:.2f}, CG its {krylov:.2f} times"
+        ends = f"from {first['tetrahedra']} to {last['tetrahedra']}"
+        rows.append(["", Remark(f"{ends}, a tetrahedron: {times}")])
+    return [
         "",
         "Milliseconds of a Newton iteration, medians over steps with E = 1e7 Pa, h = 0.1 s, by CG",
         "with GAMG. 'local': per-cell work, µs a tetrahedron; 'assembly': residual and matrix,",
         "that included; 'GB': peak memory, both together.",
         "",
-        "  ".join(f"{name:>{width}}" for name, width in _COLUMNS.items()),
-    ]
-    for r in (r for r in records if r["kind"] == "mesh"):
-        for variant in VARIANTS[:2]:
-            lines.append(_mesh_line(r, variant))
-        step = _per_step(r, "backtracking") / _per_step(r, "mixed")
-        lines.append(
-            f"{'':>31} mixed / displacement: an iteration {_ratio(r):.2f}, a step 1/{step:.1f}"
-        )
-    if found := _growth(records):
-        first, last, (mixed, classic, krylov) = found
-        lines.append(
-            f"{'':>31} from {first['tetrahedra']} to {last['tetrahedra']}, a tetrahedron: mixed "
-            f"{mixed:.2f}, displacement {classic:.2f}, CG its {krylov:.2f} times"
-        )
-    lines += [
+        *aligned(rows),
         "",
         "Newton iterations and seconds a step, mixed against the better displacement variant",
-        "(b: backtracking on the residual, p: projected tangent), and how many times faster:",
+        "(d: full steps, backtracking on the residual where they fail; p: projected tangent), and",
+        "how many times faster:",
         "",
-        f"{'E [Pa]':>8} {'h [s]':>6}  {'mixed':>18}  {'displacement':>20}  {'faster':>6}",
+        *aligned([list(_GRID), *(cells(r, _GRID) for r in select(records, kind="grid"))]),
+        *engine.table(records),
     ]
-    for r in (r for r in records if r["kind"] == "grid"):
-        best, faster = classical(r), _faster(r)
-        lines.append(
-            f"{r['E']:>8.0e} {r['h']:>6g}  {_cell(r, 'mixed'):>18}  "
-            f"{_cell(r, best):>18} {best[0]}  {faster:>6.1f}"
-        )
-    return lines
 
 
 def _growth(records: Sequence[Record]) -> tuple[Record, Record, list[float]] | None:
@@ -219,8 +196,8 @@ def _growth(records: Sequence[Record]) -> tuple[Record, Record, list[float]] | N
     """
     rows = [
         r
-        for r in records
-        if (r["kind"], r["material"]) == ("mesh", "stable-neo-hookean") and r["tetrahedra"] > 4e4
+        for r in select(records, kind="mesh", material="stable-neo-hookean")
+        if r["tetrahedra"] > 4e4
     ]
     if len(rows) < 2:
         return None
@@ -235,54 +212,60 @@ def _krylov(record: Record, variant: str) -> float:
     return sum(record[f"{variant}_krylov"]) / max(sum(record[f"{variant}_iterations"]), 1)
 
 
-_COLUMNS = {
-    "tetrahedra": 10,
-    "material": 19,
-    "Newton": 12,
-    "local": 5,
-    "assembly": 8,
-    "condense": 8,
-    "set-up": 6,
-    "CG": 6,
-    "total": 6,
-    "CG its": 6,
-    "its/step": 8,
-    "s/step": 7,
-    "GB": 4,
+def _phases(r: Record, variant: str) -> Record:
+    """What the table of meshes shows of a variant; milliseconds of a Newton iteration."""
+    phase = {name: 1e3 * r[f"{variant}_{name}"] for name in PHASES}
+    return {
+        "tetrahedra": r["tetrahedra"],
+        "material": r["material"],
+        "newton": "mixed" if variant == "mixed" else "displacement",
+        "local": 1e6 * r[f"{variant}_local"],
+        "assembly": phase["residual"] + phase["jacobian"],
+        **phase,
+        "total": 1e3 * _per_iteration(r, variant),
+        "krylov": _krylov(r, variant),
+        "iterations": _median(r[f"{variant}_iterations"]),
+        "step": _per_step(r, variant),
+        "memory": r["peak_memory"],
+    }
+
+
+_MESH: dict[str, Column] = {
+    "tetrahedra": "{tetrahedra}",
+    "material": "{material}",
+    "Newton": "{newton}",
+    "local": "{local:.2f}",
+    "assembly": "{assembly:.0f}",
+    "condense": "{condensation:.0f}",
+    "set-up": "{setup:.0f}",
+    "CG": "{solve:.0f}",
+    "total": "{total:.0f}",
+    "CG its": "{krylov:.1f}",
+    "its/step": "{iterations:.0f}",
+    "s/step": "{step:.2f}",
+    "GB": "{memory:.1f}",
 }
 
 
-def _mesh_line(r: Record, variant: str) -> str:
-    phase: Mapping[str, float] = {name: 1e3 * r[f"{variant}_{name}"] for name in PHASES}
-    iterations = r[f"{variant}_iterations"]
-    values = (
-        str(r["tetrahedra"]),
-        r["material"],
-        "mixed" if variant == "mixed" else "displacement",
-        f"{1e6 * r[f'{variant}_local']:.2f}",
-        f"{phase['residual'] + phase['jacobian']:.0f}",
-        f"{phase['condensation']:.0f}",
-        f"{phase['setup']:.0f}",
-        f"{phase['solve']:.0f}",
-        f"{1e3 * _per_iteration(r, variant):.0f}",
-        f"{_krylov(r, variant):.1f}",
-        f"{_median(iterations):.0f}",
-        f"{_per_step(r, variant):.2f}",
-        f"{r['peak_memory']:.1f}",
-    )
-    return "  ".join(f"{v:>{w}}" for v, w in zip(values, _COLUMNS.values(), strict=True))
-
-
-def _cell(r: Record, variant: str) -> str:
+def _iterations_and_seconds(r: Record, variant: str) -> str:
     if r[f"{variant}_failure"]:
         return f"fails at step {r[f'{variant}_steps_done'] + 1}"
     return f"{np.mean(r[f'{variant}_iterations']):.1f} its {_per_step(r, variant):.3f} s"
 
 
+_GRID: dict[str, Column] = {
+    "E [Pa]": "{E:.0e}",
+    "h [s]": "{h:g}",
+    "mixed": lambda r: _iterations_and_seconds(r, "mixed"),
+    "displacement": lambda r: f"{_iterations_and_seconds(r, best := classical(r))} {best[0]}",
+    "faster": lambda r: f"{_faster(r):.1f}",
+}
+
+
 def verdict(records: Sequence[Record]) -> list[str]:
     """Failures of the mixed Newton alone, and costs above what is claimed."""
     lines, many = [], []
-    for r in (r for r in records if r["kind"] == "mesh"):
+    for r in select(records, kind="mesh"):
         where = f"{r['tetrahedra']} tetrahedra, {r['material']}"
         if r["n"] == BOTH_MATERIALS_AT and not _ratio(r) <= ITERATION:
             lines.append(
@@ -297,7 +280,7 @@ def verdict(records: Sequence[Record]) -> list[str]:
             f"cost of a mixed iteration per tetrahedron: {mixed:.2f} times from "
             f"{first['tetrahedra']} to {last['tetrahedra']}, more than {GROWTH:g}"
         )
-    for r in (r for r in records if r["kind"] == "grid"):
+    for r in select(records, kind="grid"):
         best, where = classical(r), f"E = {r['E']:.0e} Pa, h = {r['h']:g} s"
         if r[f"{best}_failure"]:
             continue
@@ -312,24 +295,20 @@ def verdict(records: Sequence[Record]) -> list[str]:
             f"where the displacement takes {MANY} iterations or more: {_median(many):.1f} "
             f"times faster in the median, not {FASTER:g}"
         )
-    return lines
+    return lines + engine.verdict(records)
 
 
 def draw(records: Sequence[Record], figure: Figure) -> None:
     """Seconds a step over the mesh, and the speed-up over the grid."""
     figure.set_size_inches(9.0, 3.8)
     left, right = figure.subplots(1, 2)
-    meshes = [r for r in records if r["kind"] == "mesh" and r["material"] == "stable-neo-hookean"]
-    for variant, name in (("mixed", "mixed"), ("backtracking", "displacement")):
+    meshes = select(records, kind="mesh", material="stable-neo-hookean")
+    for variant, name in (("mixed", "mixed"), ("displacement", "displacement")):
         seconds = [_per_step(r, variant) for r in meshes]
         left.loglog([r["tetrahedra"] for r in meshes], seconds, "o-", label=name)
     left.set(xlabel="tetrahedra", ylabel="seconds a step", title="E = 1e7 Pa, h = 0.1 s")
     left.legend()
-    cells = [r for r in records if r["kind"] == "grid"]
-    E, h = (sorted({r[name] for r in cells}) for name in ("E", "h"))
-    faster = np.full((len(h), len(E)), np.nan)
-    for r in cells:
-        faster[h.index(r["h"]), E.index(r["E"])] = _faster(r)
+    h, E, faster = matrix(select(records, kind="grid"), "h", "E", _faster)
     image = right.imshow(np.log10(faster), cmap="RdBu", vmin=-1.5, vmax=1.5, aspect="auto")
     for (i, j), ratio in np.ndenumerate(faster):
         right.text(j, i, f"{ratio:.1f}", ha="center", va="center")

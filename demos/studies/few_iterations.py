@@ -21,7 +21,8 @@ import ufl
 from dolfinx import fem, la
 
 from demos.studies.bar import RHO, Bar, bar
-from demos.studies.study import Parameters, Record, Study
+from demos.studies.records import Column, Record, groups, in_columns
+from demos.studies.study import Parameters, Study
 from forms import displacement, refresh
 from solvers import ConvergenceError
 
@@ -34,13 +35,13 @@ E, H, STEPS = 1e5, 0.1, 3  # of the soft material [Pa]; [s]
 COUNTS = (1, 2, 3, 5)
 """Numbers of iterations after which to look."""
 
-METHODS: dict[str, tuple[str, bool]] = {
-    "mixed": ("symmetric", False),
-    "mixed, as published": ("gauss-newton", False),
-    "displacement": ("displacement", False),
-    "displacement, projected": ("displacement", True),
+METHODS: dict[str, tuple[str, str | None]] = {
+    "mixed": ("symmetric", None),
+    "mixed, as published": ("gauss-newton", None),
+    "displacement": ("displacement", None),
+    "displacement, projected": ("displacement", "projected-newton"),
 }
-"""Formulation, and whether the tangent is projected."""
+"""Formulation and globalisation."""
 
 PROMISED = 1e-3
 """Position error after 3 iterations that the mixed method keeps below."""
@@ -63,18 +64,18 @@ def case(method: str, contrast: float, n: int, dimension: int = 3) -> Parameters
 
 def compute(comm: MPI.Comm, parameters: Parameters) -> Record:
     """Take the steps, and look at the iterates of each; the worst step counts. Collective."""
-    formulation, projected = METHODS[parameters["method"]]
+    formulation, globalisation = METHODS[parameters["method"]]
     shape = {"n": parameters["cells"], "dimension": parameters["dimension"]}
     bars = {"E": E, "h": H, "contrast": parameters["contrast"], **shape}
     exact = bar(comm, "symmetric", **bars)
     trial = bar(
-        comm, formulation, projected=projected, options={"snes_max_it": max(COUNTS)}, **bars
+        comm, formulation, globalisation=globalisation, options={"snes_max_it": max(COUNTS)}, **bars
     )
     iterates = Iterates(trial)
     residual = DisplacementResidual(exact)
     errors: dict[str, list[list[float]]] = {name: [] for name in MEASURES}
     for _ in range(STEPS):
-        for f, value in zip(trial.fields, exact.fields, strict=False):
+        for f, value in zip(trial.model.fields, exact.model.fields, strict=False):
             f.x.array[:] = value.x.array
         trial.scheme.u_old.x.array[:] = exact.scheme.u_old.x.array
         trial.scheme.v.x.array[:] = exact.scheme.v.x.array
@@ -82,7 +83,7 @@ def compute(comm: MPI.Comm, parameters: Parameters) -> Record:
         start = residual.norm(found[0])
         errors["residual"].append([residual.norm(u) / start for u in found])
         exact.step()
-        u = exact.fields[0].x.array
+        u = exact.model.u.x.array
         moved = _largest(comm, u - found[0])
         errors["position"].append([_largest(comm, v - u) / moved for v in found])
         if exact.failure:
@@ -116,20 +117,22 @@ class Iterates:
 
     def _monitor(self, snes: PETSc.SNES, iteration: int, norm: float) -> None:
         if iteration > 0 or not self._found:
-            self._found.append(self._run.fields[0].x.array.copy())
+            self._found.append(self._run.model.u.x.array.copy())
 
 
 class DisplacementResidual:
     """The residual of a step in the displacement formulation, at any displacement."""
 
     def __init__(self, run: Bar) -> None:
-        u = run.fields[0]
-        self._u = fem.Function(u.function_space)
-        kinetic = ufl.replace(run.scheme.kinetic(RHO), {u: self._u})
-        energy = displacement(self._u, run.psi) * ufl.dx + kinetic * ufl.dx
+        model = run.model
+        self._u = fem.Function(model.u.function_space)
+        kinetic = ufl.replace(run.scheme.kinetic(RHO), {model.u: self._u})
+        energy = (displacement(self._u, model.psi) + kinetic) * ufl.dx
+        for load in model.loads:
+            energy += load.energy(model.body, self._u, model.rho)
         self._energy = energy
         self._form: Any = fem.form(ufl.derivative(energy, self._u))
-        self._bcs = run.bcs
+        self._bcs = model.bcs
 
     def norm(self, values: Array) -> float:
         """The Euclidean norm [N] over the free vertices. Collective."""
@@ -150,31 +153,22 @@ def _largest(comm: MPI.Comm, values: Array) -> float:
 # What to show
 
 
-def _by_method(records: Sequence[Record]) -> dict[str, list[Record]]:
-    series: dict[str, list[Record]] = {}
-    for r in records:
-        series.setdefault(r["method"], []).append(r)
-    return series
+COLUMNS: dict[str, Column] = {
+    "method": "{method}",
+    "contrast": "{contrast:.0e}",
+    **{f"{name} {n}": f"{{{name}_{n}:.1e}}" for name in MEASURES for n in COUNTS},
+}
 
 
 def table(records: Sequence[Record]) -> list[str]:
     """Both measures after each number of iterations; a row a method and contrast."""
-    width = 10 * len(COUNTS)
-    lines = [
+    return [
         "",
-        f"Relative errors after Newton iterations, worst of {STEPS} steps:",
+        "Relative errors of the displacement residual and of positions after so many Newton",
+        f"iterations, worst of {STEPS} steps:",
         "",
-        f"{'':<24} {'':>8}  " + "  ".join(f"{title:^{width}}" for title in MEASURES.values()),
-        f"{'method':<24} {'contrast':>8}  "
-        + "  ".join("".join(f"{n:>10}" for n in COUNTS) for _ in MEASURES),
+        *in_columns(records, COLUMNS),
     ]
-    for method, rows in _by_method(records).items():
-        for r in rows:
-            cells = "  ".join(
-                "".join(f"{r[f'{name}_{n}']:>10.1e}" for n in COUNTS) for name in MEASURES
-            )
-            lines.append(f"{method:<24} {r['contrast']:>8.0e}  {cells}")
-    return lines
 
 
 def verdict(records: Sequence[Record]) -> list[str]:
@@ -189,10 +183,10 @@ def verdict(records: Sequence[Record]) -> list[str]:
 
 def draw(records: Sequence[Record], figure: Figure) -> None:
     """Both measures over the contrast, a column a method and a line a number of iterations."""
-    series = _by_method(records)
+    series = groups(records, "method")
     figure.set_size_inches(2.6 * len(series), 5.0)
     plots = figure.subplots(len(MEASURES), len(series), squeeze=False, sharex=True, sharey="row")
-    for column, (method, rows) in zip(plots.T, series.items(), strict=True):
+    for column, ((method,), rows) in zip(plots.T, series.items(), strict=True):
         contrasts = [r["contrast"] for r in rows]
         for plot, name in zip(column, MEASURES, strict=True):
             for k, n in enumerate(COUNTS):

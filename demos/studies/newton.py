@@ -13,10 +13,9 @@ from typing import TYPE_CHECKING
 
 from mpi4py import MPI
 
-import numpy as np
-
 from demos.studies.bar import bar
-from demos.studies.study import Parameters, Record, Study
+from demos.studies.records import Column, Record, in_columns, power
+from demos.studies.study import Parameters, Study
 from forms import FORMULATIONS
 
 if TYPE_CHECKING:
@@ -30,14 +29,16 @@ ROUND_OFF = 1e-13  # of the first residual
 def grid(quick: bool) -> list[Parameters]:
     """Every formulation, and the displacement with the projected tangent too."""
     n = 2 if quick else 4
-    cases = [case(formulation, n, projected=False) for formulation in FORMULATIONS]
-    return [*cases, case("displacement", n, projected=True)]
+    # `taylor-hood` gets to round-off before its order shows.
+    names = [name for name in FORMULATIONS if name != "taylor-hood"]
+    cases = [case(formulation, n, globalisation=None) for formulation in names]
+    return [*cases, case("displacement", n, globalisation="projected-newton")]
 
 
-def case(formulation: str, n: int, *, projected: bool, dimension: int = 3) -> Parameters:
+def case(formulation: str, n: int, *, globalisation: str | None, dimension: int = 3) -> Parameters:
     """The parameters of a case with n cells across the bar."""
     return {
-        **{"formulation": formulation, "projected": projected},
+        **{"formulation": formulation, "globalisation": globalisation},
         **{"cells": n, "dimension": dimension},
     }
 
@@ -51,8 +52,7 @@ def compute(comm: MPI.Comm, parameters: Parameters) -> Record:
         dimension=parameters["dimension"],
         E=E,
         h=H,
-        compiled=parameters["projected"],
-        projected=parameters["projected"],
+        globalisation=parameters["globalisation"],
     )
     run.step()
     (result,) = run.results
@@ -72,8 +72,8 @@ def order(residuals: Sequence[float]) -> float:
     Of the last few residuals that are below a tenth of the first and above round-off, so that a
     linear rate may alternate.
     """
-    logs = np.log([r for r in residuals if ROUND_OFF < r < 0.1][-5:])
-    return float(np.polyfit(logs[:-1], logs[1:], 1)[0]) if len(logs) > 2 else float("nan")
+    tail = [r for r in residuals if ROUND_OFF < r < 0.1][-5:]
+    return power(tail[:-1], tail[1:])
 
 
 def factor(residuals: Sequence[float]) -> float:
@@ -83,23 +83,26 @@ def factor(residuals: Sequence[float]) -> float:
 
 
 def _name(r: Record) -> str:
-    return r["formulation"] + (" (projected)" if r["projected"] else "")
+    return r["formulation"] + (f" ({r['globalisation']})" if r["globalisation"] else "")
+
+
+def _residuals(r: Record) -> str:
+    shown = " ".join(f"{value:.0e}" for value in r["residuals"][-6:])
+    return f"... {shown}" if len(r["residuals"]) > 6 else shown
+
+
+COLUMNS: dict[str, Column] = {
+    "formulation": _name,
+    "iterations": lambda r: f"{r['iterations']}{' (fails)' * bool(r['failure'])}",
+    "order": "{order:.2f}",
+    "factor": "{factor:.0e}",
+    "relative residuals": _residuals,
+}
 
 
 def table(records: Sequence[Record]) -> list[str]:
     """Iterations, order, factor and the residuals themselves."""
-    lines = [
-        "",
-        f"{'formulation':<24} {'iterations':>10} {'order':>6} {'factor':>8}  relative residuals",
-    ]
-    for r in records:
-        shown = " ".join(f"{value:.0e}" for value in r["residuals"][-6:])
-        cut = "... " if len(r["residuals"]) > 6 else ""
-        count = f"fails ({r['iterations']})" if r["failure"] else str(r["iterations"])
-        lines.append(
-            f"{_name(r):<24} {count:>10} {r['order']:>6.2f} {r['factor']:>8.0e}  {cut}{shown}"
-        )
-    return lines
+    return ["", *in_columns(records, COLUMNS)]
 
 
 def verdict(records: Sequence[Record]) -> list[str]:

@@ -16,18 +16,21 @@ from typing import TYPE_CHECKING, Any
 from mpi4py import MPI
 
 import numpy as np
-import ufl
+import numpy.typing as npt
 from dolfinx import fem, mesh
 
 from demos.studies.memory import forget_peak, peak_memory, release, resident_memory
-from demos.studies.study import Parameters, Record, Study
-from forms import FORMULATIONS, BackwardEuler, StableNeoHookean, by_tag
+from demos.studies.records import Column, Record, groups, in_columns, select
+from demos.studies.study import Parameters, Study
+from forms import BackwardEuler, Fixed, Gravity, Model, StableNeoHookean, by_tag
 from meshes import Where, box
 from solvers import PRECONDITIONERS, ConvergenceError, MixedProblem, SolveResult
 from solvers.options import CONDENSED_CG, CONDENSED_DIRECT, Options
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+Array = npt.NDArray[np.float64]
 
 RHO, GRAVITY = 1000.0, 9.81  # [kg/m³], [m/s²]
 STATIC = 1e6  # [s], a step in which inertia is less than rounding error
@@ -103,12 +106,8 @@ class _Run:
 
 
 def _march(comm: MPI.Comm, parameters: Parameters, **solver: Any) -> _Run:
-    n, h = parameters["n"], parameters["h"]
+    n, h, steps = parameters["n"], parameters["h"], parameters["steps"]
     body = box(comm, size=(4.0, 1.0, 1.0), cells=(4 * n, n, n))
-    form = FORMULATIONS["symmetric"]
-    fields = form.fields(body.mesh)
-    u = fields[0]
-    V = u.function_space
     index_map = body.mesh.topology.index_map(3)
     every = np.arange(index_map.size_local + index_map.num_ghosts, dtype=np.int32)
     upper = mesh.compute_midpoints(body.mesh, 3, every)[:, 1] > 0.5
@@ -119,22 +118,29 @@ def _march(comm: MPI.Comm, parameters: Parameters, **solver: Any) -> _Run:
         layers,
         {0: StableNeoHookean(E, nu), 1: StableNeoHookean(E * parameters["contrast"], nu)},
     )
-    scheme = BackwardEuler(u, h, (0.0, -GRAVITY, 0.0))
-    energy = form.density(*fields, psi) * ufl.dx + scheme.kinetic(RHO) * ufl.dx
-    clamped = body.dofs(V, Where(extents=(("x", "min"),)))
-    bcs = [fem.dirichletbc(np.zeros(3), clamped, V)]
-    problem = MixedProblem(energy, fields, bcs, **solver)
-    run = _Run(fields, [])
-    for step in range(parameters["steps"]):
-        if h == STATIC:
-            scheme.acceleration.value[1] = -GRAVITY * (step + 1) / parameters["steps"]
+    weight = Gravity((0.0, -GRAVITY, 0.0))
+    if h == STATIC:
+        weight.g = lambda t: (0.0, -GRAVITY * t / (steps * h), 0.0)
+    model = Model(
+        body,
+        "symmetric",
+        psi,
+        rho=RHO,
+        loads=[weight],
+        motions=[Fixed(Where(extents=(("x", "min"),)))],
+    )
+    scheme = BackwardEuler(model.u, h)
+    problem = MixedProblem(model.energy(scheme), model.fields, model.bcs, **solver)
+    run = _Run(model.fields, [])
+    for _ in range(steps):
+        model.update(scheme)
         comm.barrier()
         try:
             run.results.append(problem.solve())
         except ConvergenceError as error:
             run.failure = error.result.reason
             break
-        scheme.advance()
+        model.accept(scheme)
     return run
 
 
@@ -168,19 +174,29 @@ def compute(comm: MPI.Comm, parameters: Parameters) -> Record:
     last = run.results[-1]
     seconds = comm.allreduce(last.timings["total"], op=MPI.MAX)
     record["seconds"] = seconds / max(last.iterations, 1)
-    if parameters["n"] <= COARSE:
-        whole = _march(comm, parameters, solver="direct")
-        if not whole.failure:
-            # Not of Y: stresses carry the rounding error of strains times the stiffness.
-            record["difference"] = max(map(_difference, run.fields[:2], whole.fields[:2]))
+    if parameters["n"] <= COARSE and (whole := _by_direct(comm, parameters)) is not None:
+        record["difference"] = max(map(_difference, run.fields[:2], whole))
     return record
 
 
-def _difference(f: fem.Function, expected: fem.Function) -> float:
-    """Relative Euclidean difference of two functions on the same mesh."""
+def _by_direct(comm: MPI.Comm, parameters: Parameters) -> list[Array] | None:
+    """What `direct` makes of u and S, if it gets through; once for all methods. Collective."""
+    key = comm.size, *(parameters[name] for name in ("n", "steps", *BASE))
+    if key not in _direct:
+        run = _march(comm, parameters, solver="direct")
+        # Not Y: stresses carry the rounding error of strains times the stiffness.
+        _direct[key] = None if run.failure else [f.x.array.copy() for f in run.fields[:2]]
+    return _direct[key]
+
+
+_direct: dict[tuple[Any, ...], list[Array] | None] = {}
+
+
+def _difference(f: fem.Function, expected: Array) -> float:
+    """Relative Euclidean difference of a function from values on the same mesh."""
     comm, owned = f.function_space.mesh.comm, f.function_space.dofmap.index_map.size_local
     size = owned * f.function_space.dofmap.index_map_bs
-    a, b = f.x.array[:size], expected.x.array[:size]
+    a, b = f.x.array[:size], expected[:size]
     squares = comm.allreduce(np.array([np.sum((a - b) ** 2), np.sum(b**2)]))
     return float(np.sqrt(squares[0] / squares[1]))
 
@@ -203,29 +219,21 @@ def table(records: Sequence[Record]) -> list[str]:
         "iteration of the last step, with the set-up if that is the first; 'kB/tet': peak memory;",
         "'off': relative difference of u and S from those of `direct`.",
     ]
-    place = None
-    for r in records:
-        if place != (r["tetrahedra"], _departure(r)):
-            place = r["tetrahedra"], _departure(r)
-            lines += [
-                "",
-                f"{place[1]}, {place[0]} tetrahedra",
-                f"  {'':<24} {'newton':>7} {'krylov':>6}"
-                f" {'max':>4} {'s':>7} {'kB/tet':>7} {'off':>6}",
-            ]
-        lines.append(f"  {r['method']:<24} {_figures(r)}")
+    cases = groups([{**r, "departure": _departure(r)} for r in records], "tetrahedra", "departure")
+    for (tetrahedra, departure), rows in cases.items():
+        lines += ["", f"{departure}, {tetrahedra} tetrahedra", *in_columns(rows, COLUMNS, case=1)]
     return lines
 
 
-def _figures(r: Record) -> str:
-    if r["failure"]:
-        return f"fails at step {len(r['newton']) + 1}: {r['failure']}"
-    newton = " ".join(map(str, r["newton"]))
-    off = "" if r["difference"] is None else f"{r['difference']:.0e}"
-    return (
-        f"{newton:>7} {r['krylov_mean']:>6.1f} {r['krylov_max']:>4d} {r['seconds']:>7.3f} "
-        f"{1e6 * r['memory'] / r['tetrahedra']:>7.1f} {off:>6}"
-    ).rstrip()
+COLUMNS: dict[str, Column] = {
+    "method": "{method}",
+    "newton": lambda r: " ".join(map(str, r["newton"])),
+    "krylov": "{krylov_mean:.1f}",
+    "max": "{krylov_max}",
+    "s": "{seconds:.3f}",
+    "kB/tet": lambda r: f"{1e6 * r['memory'] / r['tetrahedra']:.1f}",
+    "off": lambda r: "" if r["difference"] is None else f"{r['difference']:.0e}",
+}
 
 
 def verdict(records: Sequence[Record]) -> list[str]:
@@ -268,18 +276,17 @@ def draw(records: Sequence[Record], figure: Figure) -> None:
     """Krylov iterations and seconds over the mesh, iterations over each other axis."""
     figure.set_size_inches(11.0, 6.5)
     plots = figure.subplots(2, 3).ravel()
-    good = [r for r in records if not r["failure"]]
-    meshes = [r for r in good if r["axis"] == "mesh"]
+    good = select(records, failure="")
     for method in METHODS:
         style = "s--" if method in CONDENSED else "o-"
-        rows = [r for r in meshes if r["method"] == method]
+        rows = select(good, axis="mesh", method=method)
         sizes = [r["tetrahedra"] for r in rows]
         plots[0].loglog(sizes, [r["krylov_mean"] for r in rows], style, ms=3, label=method)
         seconds = [1e6 * r["seconds"] / r["tetrahedra"] for r in rows]
         plots[1].loglog(sizes, seconds, style, ms=3)
         for plot, axis in zip(plots[2:], AXES, strict=True):
-            rows = [r for r in good if r["method"] == method and r["axis"] in (axis, "mesh")]
-            rows = sorted((r for r in rows if r["n"] == COARSE), key=lambda r: r[axis])
+            rows = [r for r in select(good, method=method, n=COARSE) if r["axis"] in (axis, "mesh")]
+            rows.sort(key=lambda r: r[axis])
             # Over ν the distance to 1/2; a static case stands at the end.
             x = [0.5 - r["nu"] if axis == "nu" else min(r[axis], 10.0) for r in rows]
             plot.loglog(x, [r["krylov_mean"] for r in rows], style, ms=3)

@@ -20,7 +20,8 @@ from dolfinx import fem
 from dolfinx.mesh import exterior_facet_indices
 from ufl.core.expr import Expr
 
-from demos.studies.study import Parameters, Record, Study
+from demos.studies.records import Column, Record, fitted_orders, groups, in_columns, select
+from demos.studies.study import Parameters, Study
 from forms import (
     FORMULATIONS,
     BackwardEuler,
@@ -29,6 +30,7 @@ from forms import (
     measure,
     quadrature_degree,
 )
+from forms.expressions import at_points
 from meshes import CELLS, box
 from solvers import SOLVERS, ConvergenceError, MixedProblem
 
@@ -51,6 +53,10 @@ LEVELS = {2: (4, 8, 16, 32), 3: (2, 4, 8, 16)}
 QUICK_LEVELS = {2: (4, 8, 16, 32), 3: (2, 4, 8)}
 INEXACT_LEVELS = {2: (2, 4, 8, 16), 3: (2, 4, 8)}
 
+TAYLOR_HOOD, TAYLOR_HOOD_LEVELS = "taylor-hood", (2, 4, 8, 16)
+"""In 2D, of P2 displacements by degree 1, by the direct solver: the condensed one moves the edge
+before the rest of the body, which turns cells of the finest mesh over."""
+
 ELEMENTS = tuple((d, cell, degree) for d in (2, 3) for cell in CELLS[d] for degree in (1, 2, 3))
 """Dimension, cell and degree of the displacement, of the static series of `symmetric`."""
 
@@ -65,6 +71,13 @@ def grid(quick: bool) -> list[Parameters]:
         given = QUICK_LEVELS if quick else LEVELS
         if not FORMULATIONS[formulation].exact:
             given = INEXACT_LEVELS
+        if formulation == TAYLOR_HOOD:
+            cases += [
+                case(formulation, 2, motion, "direct", n)
+                for motion in ("static", "dynamic")
+                for n in TAYLOR_HOOD_LEVELS
+            ]
+            continue
         for d, levels in given.items():
             if quick and d == 3 and formulation != "symmetric":
                 continue
@@ -137,14 +150,18 @@ def compute(comm: MPI.Comm, parameters: Parameters) -> Record:
     at_t, velocity = (
         fem.Expression(e, points) for e in (_exact(X, t), (_exact(X, t) - _exact(X, t - H)) / H)
     )
-    steps = STEPS if parameters["motion"] == "dynamic" else 1
-    t.value = 1.0 - H * (steps if parameters["motion"] == "dynamic" else 0)
+    dynamic = parameters["motion"] == "dynamic"
+    steps = STEPS if dynamic else 1
+    t.value = 1.0 - H * (steps if dynamic else 0)
     u.interpolate(at_t)
     scheme = BackwardEuler(u, H)
-    if parameters["motion"] == "dynamic":
+    if dynamic:
         scheme.v.interpolate(velocity)
+    if (parameters["cell"], parameters["degree"]) == (CELLS[d][0], 1):
+        # Both motions have the same forms, to be compiled once: at rest the density is 0.
+        rho: Any = fem.Constant(msh, RHO if dynamic else 0.0)
         acceleration = (_exact(X, t) - 2 * _exact(X, t - H) + _exact(X, t - 2 * H)) / H**2
-        energy += scheme.kinetic(RHO) * ufl.dx - RHO * ufl.inner(acceleration, u) * dx
+        energy += scheme.kinetic(rho) * ufl.dx - rho * ufl.inner(acceleration, u) * dx
     msh.topology.create_connectivity(d - 1, d)
     boundary = fem.Function(V)
     facets = exterior_facet_indices(msh.topology)
@@ -154,7 +171,7 @@ def compute(comm: MPI.Comm, parameters: Parameters) -> Record:
     problem = MixedProblem(energy, fields, [bc], solver=parameters["solver"], options=options)
     iterations = []
     for _ in range(steps):
-        if parameters["motion"] == "dynamic":
+        if dynamic:
             t.value += H
         boundary.interpolate(at_t)
         try:
@@ -167,7 +184,7 @@ def compute(comm: MPI.Comm, parameters: Parameters) -> Record:
         "u": (u, _exact(X, t)),
         "F": (deformation_gradient(u), F),
         "S": (form.stretch(*fields), F),
-        "Lam": (form.multiplier(*fields, PSI), P),
+        "Lam": (form.stress(*fields, PSI), P),
     }
     errors = _errors(u, expressions)
     return {
@@ -207,17 +224,16 @@ def _errors(u: fem.Function[Any], pairs: dict[str, tuple[Expr, Expr]]) -> dict[s
         points, weights = rules[own or many if name in ("S", "Lam") else many]
 
         def at(expression: Expr, points: Array = points) -> Array:
-            return np.array(fem.Expression(expression, points).eval(msh, cells), dtype=float)
+            return np.array(at_points(expression, points).eval(msh, cells), dtype=float)
 
-        size = np.abs(at(ufl.JacobianDeterminant(msh)))
-        components = int(np.prod(exact.ufl_shape))
-        reference = at(exact).reshape(len(cells), len(points), components)
+        shape = len(cells), len(points)
+        size = np.abs(at(ufl.JacobianDeterminant(msh))).reshape(shape)
         if name == "S":
-            reference = _stretch(reference.reshape(*reference.shape[:2], d, d)).reshape(
-                reference.shape
-            )
-        difference = at(computed).reshape(reference.shape) - reference
-        density = np.sum(difference**2, axis=2) * size.reshape(len(cells), len(points))
+            S, F = (at(e).reshape(*shape, d, d) for e in (computed, exact))
+            difference = S - _stretch(F)
+        else:
+            difference = at(computed - exact)
+        density = np.sum(difference.reshape(*shape, -1) ** 2, axis=2) * size
         squares[name] = float(np.sum(density @ weights))
     return squares
 
@@ -232,16 +248,9 @@ def _stretch(F: Array) -> Array:
 # What to show
 
 
-Key = tuple[str, int, str, str, str, int]
-
-
-def _series(records: Sequence[Record]) -> dict[Key, list[Record]]:
-    """Records of growing fineness by formulation, dimension, motion, solver, cell and degree."""
-    series: dict[Key, list[Record]] = {}
-    for r in records:
-        key = r["formulation"], r["dimension"], r["motion"], r["solver"], r["cell"], r["degree"]
-        series.setdefault(key, []).append(r)
-    return series
+def _series(records: Sequence[Record]) -> dict[tuple[Any, ...], list[Record]]:
+    """Records of growing fineness by what else tells them apart."""
+    return groups(records, "formulation", "dimension", "motion", "solver", "cell", "degree")
 
 
 def expected(degree: int) -> dict[str, int]:
@@ -250,36 +259,33 @@ def expected(degree: int) -> dict[str, int]:
 
 
 def orders(levels: Sequence[Record]) -> dict[str, float]:
-    """The order of each error, fitted over the finest three levels that did not fail."""
-    finest = [r for r in levels if not r["failure"]][-3:]
-    if len(finest) < 2:
-        return dict.fromkeys(ORDERS, float("nan"))
-    h = np.log([1.0 / r["cells"] for r in finest])
-    return {name: float(np.polyfit(h, np.log([r[name] for r in finest]), 1)[0]) for name in ORDERS}
+    """The order of each error."""
+    return fitted_orders(levels, lambda r: 1.0 / r["cells"], ORDERS)
+
+
+COLUMNS: dict[str, Column] = {
+    "formulation": "{formulation}",
+    "motion": "{motion} {dimension}D",
+    "solver": "{solver}",
+    "element": "{cell} {degree}",
+    "cells": "{cells}",
+    **{f"{name}, order": f"{{{name}:.2e}} {{of_{name}:5.2f}}" for name in ORDERS},
+}
 
 
 def table(records: Sequence[Record]) -> list[str]:
     """The finest errors and the orders."""
-    lines = [
+    rows = []
+    for levels in _series(records).values():
+        order = {f"of_{name}": value for name, value in orders(levels).items()}
+        done = select(levels, failure="")
+        rows += [{**r, **order} for r in levels if r["failure"] or r is done[-1]]
+    return [
         "",
         "Error on the finest mesh and its order over the finest three:",
         "",
-        f"{'formulation':<16} {'':<11} {'solver':<10} {'element':<15} {'cells':>5}  "
-        + "  ".join(f"{name:>15}" for name in ORDERS),
+        *in_columns(rows, COLUMNS, case=5),
     ]
-    for (formulation, d, motion, solver, cell, degree), levels in _series(records).items():
-        found = orders(levels)
-        for r in levels:
-            start = (
-                f"{formulation:<16} {f'{d}D {motion}':<11} {solver:<10} "
-                f"{f'{cell} {degree}':<15} {r['cells']:>5}  "
-            )
-            if r["failure"]:
-                lines.append(f"{start}fails: {r['failure']}")
-            elif r is [level for level in levels if not level["failure"]][-1]:
-                cells = "  ".join(f"{r[name]:>9.2e} {found[name]:>5.2f}" for name in ORDERS)
-                lines.append(start + cells)
-    return lines
 
 
 def verdict(records: Sequence[Record]) -> list[str]:
@@ -292,7 +298,7 @@ def verdict(records: Sequence[Record]) -> list[str]:
         found = orders(levels)
         lines += [
             f"{name}: {error} has order {found[error]:.2f}, expected {order}"
-            for error, order in expected(key[5]).items()
+            for error, order in expected(key[5] + (key[0] == TAYLOR_HOOD)).items()
             if not found[error] >= order - 0.1
         ]
     return lines
@@ -301,7 +307,7 @@ def verdict(records: Sequence[Record]) -> list[str]:
 def draw(records: Sequence[Record], figure: Figure) -> None:
     """Errors of the first formulation over the mesh size: 2D and 3D, then element by element."""
     shown = {
-        key: [r for r in levels if not r["failure"]]
+        key: select(levels, failure="")
         for key, levels in _series(records).items()
         if (key[0], key[3]) == (records[0]["formulation"], records[0]["solver"])
     }

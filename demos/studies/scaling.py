@@ -19,7 +19,8 @@ from mpi4py import MPI
 from demos.studies.bar import bar
 from demos.studies.memory import forget_peak, peak_memory, release, resident_memory
 from demos.studies.ranks import RanksError, on_ranks
-from demos.studies.study import Parameters, Record, Study
+from demos.studies.records import Column, Record, groups, in_columns, select
+from demos.studies.study import Parameters, Study
 from solvers.options import CONDENSED_CG
 
 if TYPE_CHECKING:
@@ -74,7 +75,7 @@ def case(kind: str, solver: str, n: int, ranks: int) -> Parameters:
 
 def compute(comm: MPI.Comm, parameters: Parameters) -> Record:
     """Measure on as many ranks as the case has."""
-    code = "from demos.studies.scaling import worker; worker()"
+    code = f"from {__name__} import {worker.__name__}; worker()"
     try:
         out = on_ranks(parameters["ranks"], code, json.dumps(parameters), timeout=TIMEOUT)
     except RanksError as error:
@@ -106,7 +107,7 @@ def measure(comm: MPI.Comm, parameters: Parameters) -> Record:
     options = {f"condensed_{key}": value for key, value in CONDENSED_CG.items()}
     choices: dict[str, Any] = {"options": options}
     if solver == "fieldsplit":
-        choices = {"preconditioner": "schur-full-gmres", "compiled": False}
+        choices = {"preconditioner": "schur-full-gmres"}
     small = bar(comm, "symmetric", n=1, E=E, h=H, solver=solver, **choices)
     small.step()  # what is compiled or loaded once is not to be timed
     del small
@@ -152,58 +153,37 @@ def table(records: Sequence[Record]) -> list[str]:
         f"'Newton': iterations of {STEPS} steps, and then seconds of one on the slowest rank.",
         "'faster': tetrahedra a second beside one rank's; 'eff.': that by rank; 'MB/rank': peak",
         "memory of a rank, without libraries.",
-        f"condensed: compiled kernels, CG with GAMG; fieldsplit: UFL, schur-full-gmres. {_cores()} "
-        "cores here.",
+        "condensed: the engine, CG with GAMG; fieldsplit: assembled by DOLFINx, schur-full-gmres. "
+        f"{_cores()} cores here.",
     ]
-    place = None
-    for r, gain in zip(records, gains(records), strict=True):
-        if place != (r["kind"], r["solver"]):
-            place = r["kind"], r["solver"]
-            lines += ["", f"{r['kind']} scaling, {r['solver']}", _row(tuple(_COLUMNS))]
-        if r["failure"]:
-            lines.append(f"{r['ranks']:>5} {r['tetrahedra']:>10}  fails: {r['failure']}")
-            continue
-        values = (
-            f"{r['ranks']}{'*' * (r['ranks'] > r['cores'])}",
-            f"{r['tetrahedra']}",
-            f"{r['newton']}",
-            f"{r['krylov']:.1f}",
-            f"{r['residual'] + r['jacobian']:.3f}",
-            *(f"{r[phase]:.3f}" for phase in ("condensation", "setup", "solve", "total")),
-            f"{gain:.2f}",
-            f"{gain / r['ranks']:.2f}",
-            f"{1e3 * r['memory'] / r['ranks']:.0f}",
-        )
-        lines.append(_row(values))
+    rows = [{**r, "gain": gain} for r, gain in zip(records, gains(records), strict=True)]
+    for (kind, solver), chosen in groups(rows, "kind", "solver").items():
+        lines += ["", f"{kind} scaling, {solver}", *in_columns(chosen, COLUMNS, case=2)]
     if any(r["ranks"] > r["cores"] for r in records):
         lines += ["", "*: more ranks than cores"]
     return lines
 
 
-_COLUMNS = {
-    "ranks": 5,
-    "tetrahedra": 10,
-    "Newton": 6,
-    "Krylov": 6,
-    "assembly": 8,
-    "eliminate": 9,
-    "set-up": 6,
-    "solve": 6,
-    "total": 6,
-    "faster": 6,
-    "eff.": 5,
-    "MB/rank": 7,
+COLUMNS: dict[str, Column] = {
+    "ranks": lambda r: f"{r['ranks']}{'*' * (r['ranks'] > r['cores'])}",
+    "tetrahedra": "{tetrahedra}",
+    "Newton": "{newton}",
+    "Krylov": "{krylov:.1f}",
+    "assembly": lambda r: f"{r['residual'] + r['jacobian']:.3f}",
+    "eliminate": "{condensation:.3f}",
+    "set-up": "{setup:.3f}",
+    "solve": "{solve:.3f}",
+    "total": "{total:.3f}",
+    "faster": "{gain:.2f}",
+    "eff.": lambda r: f"{r['gain'] / r['ranks']:.2f}",
+    "MB/rank": lambda r: f"{1e3 * r['memory'] / r['ranks']:.0f}",
 }
-
-
-def _row(values: Sequence[str]) -> str:
-    return " ".join(f"{v:>{w}}" for v, w in zip(values, _COLUMNS.values(), strict=True))
 
 
 def verdict(records: Sequence[Record]) -> list[str]:
     """Failures, other Newton iterations on more ranks, and too little gain of two ranks."""
     lines = []
-    strong = [r for r in records if r["kind"] == "strong" and not r["failure"]]
+    strong = select(records, kind="strong", failure="")
     for r, gain in zip(records, gains(records), strict=True):
         where = f"{r['kind']} scaling, {r['solver']}, {r['ranks']} ranks"
         if r["failure"]:
@@ -211,7 +191,7 @@ def verdict(records: Sequence[Record]) -> list[str]:
             continue
         if r["kind"] != "strong":
             continue
-        one = [s for s in strong if s["ranks"] == 1 and s["solver"] == r["solver"]]
+        one = select(strong, ranks=1, solver=r["solver"])
         if one and one[0]["newton"] != r["newton"]:
             lines.append(f"{where}: {r['newton']} Newton iterations, {one[0]['newton']} on one")
         wanted = TWICE[r["solver"]]

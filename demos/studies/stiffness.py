@@ -15,18 +15,18 @@ from mpi4py import MPI
 import numpy as np
 
 from demos.studies.bar import SUPPORTS, bar
-from demos.studies.study import Parameters, Record, Study
+from demos.studies.heat import colours, iterations
+from demos.studies.records import Column, Record, crossed, groups
+from demos.studies.study import Parameters, Study
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from matplotlib.image import AxesImage
 
 STEPS = 3
 VARIANTS = {
-    "mixed": ("symmetric", False),
-    "backtracking": ("displacement", False),
-    "projected": ("displacement", True),
+    "mixed": ("symmetric", None),
+    "backtracking": ("displacement", None),
+    "projected": ("displacement", "projected-newton"),
 }
 
 
@@ -60,7 +60,7 @@ def case(support: str, n: int, h: float, axis: str, value: float) -> Parameters:
 def compute(comm: MPI.Comm, parameters: Parameters) -> Record:
     """March a few steps with each variant. Collective."""
     record: Record = {}
-    for variant, (formulation, projected) in VARIANTS.items():
+    for variant, (formulation, globalisation) in VARIANTS.items():
         run = bar(
             comm,
             formulation,
@@ -69,12 +69,12 @@ def compute(comm: MPI.Comm, parameters: Parameters) -> Record:
             contrast=parameters["contrast"],
             h=parameters["h"],
             support=parameters["support"],
-            projected=projected,
+            globalisation=globalisation,
         )
         for _ in range(STEPS):
             run.step()
-        iterations = [result.iterations for result in run.results]
-        record[variant] = float(np.mean(iterations)) if not run.failure else None
+        taken = [result.iterations for result in run.results]
+        record[variant] = float(np.mean(taken)) if not run.failure else None
         record[f"{variant}_failure"] = run.failure
         record[f"{variant}_searches"] = sum(
             "line search" in note for result in run.results for note in result.notes.values()
@@ -88,31 +88,20 @@ def classical(r: Record) -> float | None:
     return min(found) if found else None
 
 
-def _shown(iterations: float | None) -> str:
-    return "fails" if iterations is None else f"{iterations:.1f}"
+def _shown(taken: float | None) -> str:
+    return "fails" if taken is None else f"{taken:.1f}"
 
 
-def _by_axis_and_support(records: Sequence[Record]) -> dict[tuple[str, str], list[Record]]:
-    maps: dict[tuple[str, str], list[Record]] = {}
-    for r in records:
-        maps.setdefault((r["axis"], r["support"]), []).append(r)
-    return maps
+def _both(r: Record) -> str:
+    return f"{_shown(r['mixed'])} / {_shown(classical(r))}"
 
 
 def table(records: Sequence[Record]) -> list[str]:
     """Mean Newton iterations a step, mixed / displacement; a row a stiffness or contrast."""
     lines = ["", f"Newton iterations a step, mean of {STEPS}: mixed / better displacement variant"]
-    steps = sorted({r["h"] for r in records})
-    for (axis, support), rows in _by_axis_and_support(records).items():
-        head = "".join(f"{f'h = {h:g} s':>16}" for h in steps)
-        lines += ["", f"{support:<9} {AXES[axis]:<10}{head}"]
-        for value in sorted({r[axis] for r in rows}):
-            cells = {
-                r["h"]: f"{_shown(r['mixed'])} / {_shown(classical(r))}"
-                for r in rows
-                if r[axis] == value
-            }
-            lines.append(f"{value:>16.0e}    " + "".join(f"{cells.get(h, ''):>16}" for h in steps))
+    for (axis, support), rows in groups(records, "axis", "support").items():
+        columns: dict[str, Column] = {AXES[axis]: f"{{{axis}:.0e}}"}
+        lines += ["", support, *crossed(rows, columns, "h", "h = {h:g} s", _both)]
     mixed = sum(r["mixed"] is None for r in records)
     others = sum(classical(r) is None for r in records)
     searches = sum(r["mixed_searches"] > 0 for r in records)
@@ -136,36 +125,20 @@ def verdict(records: Sequence[Record]) -> list[str]:
 
 def draw(records: Sequence[Record], figure: Figure) -> None:
     """A heat map for each axis, method and support."""
-    maps = _by_axis_and_support(records)
+    maps = groups(records, "axis", "support")
     axes, supports = (list(dict.fromkeys(key[k] for key in maps)) for k in (0, 1))
     figure.set_size_inches(4.5 * len(supports), 5.0 * len(axes))
     plots = figure.subplots(2 * len(axes), len(supports), squeeze=False)
     for (axis, support), rows in maps.items():
         row, column = 2 * axes.index(axis), supports.index(support)
         mixed, others = plots[row : row + 2, column]
-        _heat(mixed, f"{support}: mixed", axis, rows, [r["mixed"] for r in rows])
-        image = _heat(others, f"{support}: displacement", axis, rows, [classical(r) for r in rows])
-    bar = figure.colorbar(image, ax=plots, shrink=0.4, label="Newton iterations a step")
-    bar.set_ticks([1, 3, 10, 30, 100], labels=["1", "3", "10", "30", "100"])
-
-
-def _heat(
-    plot: Axes, title: str, axis: str, rows: Sequence[Record], values: Sequence[float | None]
-) -> AxesImage:
-    """Iterations by step and stiffness; what fails is left white."""
-    stiffness, h = (sorted({r[name] for r in rows}) for name in (axis, "h"))
-    picture = np.full((len(h), len(stiffness)), np.nan)
-    for r, value in zip(rows, values, strict=True):
-        i, j = h.index(r["h"]), stiffness.index(r[axis])
-        picture[i, j] = np.nan if value is None else value
-        plot.text(j, i, _shown(value), ha="center", va="center", fontsize=7)
-    image = plot.imshow(
-        picture, cmap="viridis_r", norm="log", vmin=1.0, vmax=100.0, aspect="auto", alpha=0.7
-    )
-    plot.set_xticks(range(len(stiffness)), [f"{value:.0e}" for value in stiffness], fontsize=6)
-    plot.set_yticks(range(len(h)), [f"{value:g}" for value in h])
-    plot.set(xlabel=AXES[axis], ylabel="h [s]", title=title)
-    return image
+        for plot, method, value in (
+            (mixed, "mixed", lambda r: r["mixed"]),
+            (others, "displacement", classical),
+        ):
+            image = iterations(plot, rows, axis, value)
+            plot.set(xlabel=AXES[axis], ylabel="h [s]", title=f"{support}: {method}")
+    colours(figure, image, plots)
 
 
 STIFFNESS = Study(

@@ -6,6 +6,7 @@ range checks and a formula. In 2D all of them mean plane strain.
 
 from forms.materials.base import Material, StrainEnergy, lame_parameters
 from forms.materials.corotational import AsRigidAsPossible, Corotational, FixedCorotational
+from forms.materials.isotropy import require_isotropic
 from forms.materials.neo_hookean import NeoHookean, SmithNeoHookean, StableNeoHookean
 from forms.materials.regions import by_tag, cell_values
 from forms.materials.rubber import MooneyRivlin, Ogden
@@ -24,7 +25,7 @@ MATERIALS: dict[str, type[Material]] = {
     "hencky": Hencky,
     "fung": Fung,
 }
-"""Materials by the name that a scene file uses."""
+"""Materials by the name that a scene file uses. To add one: `MATERIALS["mine"] = Mine`."""
 
 __all__ = [
     "MATERIALS",
@@ -44,4 +45,5 @@ __all__ = [
     "by_tag",
     "cell_values",
     "lame_parameters",
+    "require_isotropic",
 ]

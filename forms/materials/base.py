@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import ufl
-from dolfinx import fem
+from dolfinx import fem, mesh
 from ufl.core.expr import Expr
+
+if TYPE_CHECKING:
+    from forms.history import History
 
 StrainEnergy = Callable[[Expr], Expr]
 
@@ -70,6 +73,21 @@ class Material(ABC):
     @abstractmethod
     def strain_energy(self, S: Expr, mu: Expr, lam: Expr) -> Expr:
         """Return Ψ(S) [J/m³] with Lamé parameters [Pa] given as UFL expressions."""
+
+    def with_histories(
+        self, msh: mesh.Mesh, degree: int, h: fem.Constant
+    ) -> tuple[StrainEnergy, Sequence[History]]:
+        """Return Ψ on a mesh, and the history variables in it; here there are none.
+
+        A material that remembers makes its fields here (`forms.point_field`). In 2D its Ψ should
+        take stretches of shape (3, 3), too, as `forms.von_mises_stress` asks for. Collective.
+
+        Args:
+            msh: The mesh.
+            degree: Of the displacement.
+            h: Time step [s].
+        """
+        return self, ()
 
     @property
     def rest(self) -> tuple[float, float]:

@@ -1,0 +1,1 @@
+"""The application behind `mixed-fem`: command line, scenes, runs, results, pictures."""

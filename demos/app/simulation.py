@@ -1,0 +1,248 @@
+"""From a scene to a sequence of converged states."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+from mpi4py import MPI
+
+import basix
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+from ufl.core.expr import Expr
+
+from demos.app.scene import Scene
+from demos.app.tables import SceneError
+from forms import (
+    SCHEMES,
+    Energies,
+    History,
+    Model,
+    by_tag,
+    cell_values,
+    displacement_field,
+    quadrature_degree,
+    refresh,
+    von_mises_stress,
+)
+from forms.expressions import at_points
+from forms.materials import StrainEnergy
+from meshes import (
+    Body,
+    MeshError,
+    box,
+    connected_parts,
+    geometry,
+    read,
+    refine,
+    told_parts,
+)
+from solvers import MixedProblem, SolveResult, march
+
+logger = logging.getLogger("mixed_fem")
+
+
+def build_body(scene: Scene, comm: MPI.Comm) -> Body:
+    """The body of a scene, checked against the rest of it.
+
+    Raises:
+        SceneError: The mesh cannot be used, or the scene asks for what it does not have.
+    """
+    try:
+        source = scene.mesh
+        if source.file is not None:
+            body = read(comm, source.file, scale=source.scale)
+        elif source.geometry is not None:
+            body = geometry(comm, source.geometry, source.h, scale=source.scale)
+        else:
+            body = box(comm, [x * source.scale for x in source.size], source.cells, source.cell)
+        body = refine(body, source.refine)
+    except MeshError as e:
+        raise SceneError(f"{scene.source}: [mesh]: {e}") from e
+    wanted = [m.tag for m in scene.regions if m.tag is not None]
+    if wanted:
+        tagged = body.tagged_cells()
+        try:
+            body.regions(wanted)
+        except MeshError as e:
+            raise SceneError(
+                f"{scene.source}: [[material]] tag: the cells of the mesh are tagged {tagged}, the "
+                f"materials {wanted}; each cell needs one material, and {e}"
+            ) from e
+    _check_parts(scene, body)
+    parts = connected_parts(body, [given.motion.where for given in scene.boundaries])
+    if comm.rank == 0 and len(parts) > 1:
+        logger.warning("%s: %s", scene.source, told_parts(parts))
+    return body
+
+
+def _check_parts(scene: Scene, body: Body) -> None:
+    """Insist that each motion and load goes with the body, so that messages name its place."""
+    u = displacement_field(body.mesh)
+    v = ufl.TestFunction(u.function_space)
+    rho = fem.Constant(body.mesh, 1.0)
+    place = ""
+    try:
+        for boundary in scene.boundaries:
+            place = boundary.place
+            boundary.motion.hold(body, u.function_space)
+        for given in scene.loads:
+            place = given.place
+            given.load.energy(body, u, rho)
+            given.load.work(body, u, v)
+    except ValueError as e:
+        raise SceneError(f"{scene.source}: {place}: {e}") from e
+
+
+class Simulation:
+    """A scene in one formulation, ready to march.
+
+    Attributes:
+        body: The mesh.
+        model: What the body is.
+        fields: The unknowns, the displacement [m] first.
+        problem: The Newton system.
+        scheme: The time scheme; knows time and velocity.
+    """
+
+    def __init__(self, scene: Scene, body: Body, formulation: str) -> None:
+        """Build the forms and compile them.
+
+        Args:
+            scene: What to run.
+            body: Its body, from `build_body`.
+            formulation: Name of the formulation; the one of the scene is not looked at.
+
+        Raises:
+            SceneError: The formulation does not go with the cells, the degree, the material, the
+                scheme or the solver.
+        """
+        self.body = body
+        h = fem.Constant(body.mesh, scene.h)
+        psi, rho, histories, moduli = _material(scene, body, h)
+        damping = replace(scene.damping, moduli=moduli)
+        try:
+            self.model = Model(
+                body,
+                formulation,
+                psi,
+                rho=rho,
+                loads=[given.load for given in scene.loads],
+                motions=[given.motion for given in scene.boundaries],
+                histories=histories,
+                damping=damping,
+                degree=scene.degree,
+            )
+        except ValueError as e:
+            message = f'[solve] formulation = "{formulation}": {e}'
+            raise SceneError(f"{scene.source}: {message}") from e
+        try:
+            self.scheme = SCHEMES[scene.scheme](self.model.u, h, **scene.scheme_keys)
+        except ValueError as e:
+            raise SceneError(f"{scene.source}: [time]: {e}") from e
+        try:
+            scene.start(self.model, self.scheme, body, scene.folder)
+        except ValueError as e:
+            raise SceneError(f"{scene.source}: [start]: {e}") from e
+        try:
+            energy = self.model.energy(self.scheme)
+        except ValueError as e:
+            message = f'[solve] formulation = "{formulation}": {e}'
+            raise SceneError(f"{scene.source}: {message}") from e
+        self.fields = self.model.fields
+        try:
+            self.problem = MixedProblem(
+                energy,
+                self.fields,
+                self.model.bcs,
+                work=self.model.virtual_work(self.scheme),
+                solver=scene.solver,
+            )
+        except ValueError as e:
+            raise SceneError(f'{scene.source}: [solve] solver = "{scene.solver}": {e}') from e
+        self._control = scene.control
+        self._energies = self.model.energies(self.scheme)
+        u, stretch = self.model.u, self.model.stretch(self.scheme)
+        self._stretch = CellMeans(stretch, u)
+        self._stress = CellMeans(self.model.stress(self.scheme), u)
+        self._von_mises = CellMeans(von_mises_stress(stretch, psi), u)
+
+    def march(self, steps: int) -> Iterator[SolveResult]:
+        """Yield the result of each step.
+
+        Raises:
+            ConvergenceError: A step failed; the state is that after the step before.
+        """
+        return march(self.problem, self.scheme, steps, self.model, self._control)
+
+    def energies(self) -> Energies:
+        """Energies [J] of the whole body after the last step. Collective."""
+        return self._energies.now()
+
+    def stretch(self) -> npt.NDArray[np.float64]:
+        """Right stretch S on the owned cells, shape (owned cells, d, d)."""
+        return self._stretch.values()
+
+    def stress(self) -> npt.NDArray[np.float64]:
+        """First Piola-Kirchhoff stress Λ [Pa] on the owned cells, shape (owned cells, d, d)."""
+        return self._stress.values()
+
+    def von_mises(self) -> npt.NDArray[np.float64]:
+        """Von Mises stress [Pa] on the owned cells, shape (owned cells,)."""
+        return self._von_mises.values()
+
+
+class CellMeans:
+    """Means of an expression over the points of each owned cell at which cell-local fields live."""
+
+    def __init__(self, expression: Expr, u: fem.Function[Any]) -> None:
+        """Compile the expression.
+
+        Args:
+            expression: Of the fields of a formulation.
+            u: The displacement among them.
+        """
+        self._mesh, self._expression = u.function_space.mesh, expression
+        points, weights = (
+            np.array(a, dtype=np.float64)
+            for a in basix.make_quadrature(
+                self._mesh.basix_cell(), quadrature_degree(u.function_space)
+            )
+        )
+        self._weights = weights / weights.sum()
+        self._compiled = at_points(expression, points)
+        cells = self._mesh.topology.index_map(self._mesh.topology.dim).size_local
+        self._cells = np.arange(cells, dtype=np.int32)
+
+    def values(self) -> npt.NDArray[np.float64]:
+        """Present means, shape (owned cells, *shape of the expression)."""
+        refresh([self._expression])
+        values = self._compiled.eval(self._mesh, self._cells)
+        return np.asarray(np.einsum("q,kq...->k...", self._weights, values), dtype=np.float64)
+
+
+def _material(
+    scene: Scene, body: Body, h: fem.Constant
+) -> tuple[StrainEnergy, float | Expr, list[History], tuple[float | Expr, float | Expr]]:
+    """Strain energy, density, history variables and rest moduli (μ, λ), by cell tag if needed."""
+    laws: list[StrainEnergy] = []
+    histories: list[History] = []
+    for region in scene.regions:
+        psi, remembered = region.material.with_histories(body.mesh, scene.degree, h)
+        laws.append(psi)
+        histories += remembered
+    if len(laws) == 1:
+        return laws[0], scene.regions[0].rho, histories, scene.regions[0].material.rest
+    tags = body.regions([region.tag for region in scene.regions if region.tag is not None])
+    densities = {k: region.rho for k, region in enumerate(scene.regions)}
+    psi = by_tag(body.mesh, tags, dict(enumerate(laws)))
+    mu, lam = (
+        cell_values(body.mesh, tags, {k: r.material.rest[i] for k, r in enumerate(scene.regions)})
+        for i in (0, 1)
+    )
+    return psi, cell_values(body.mesh, tags, densities), histories, (mu, lam)

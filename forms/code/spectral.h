@@ -1,0 +1,105 @@
+/* Functions of symmetric tensors, r = f(A), by eigenvalues; see forms/spectral.py.
+
+   Of a tensor the lower triangle counts, row by row. parameters: number of the function, exponent.
+   Kept: eigenvectors V (by columns), f[a, b] of pairs of eigenvalues, f[a, b, c] of triples. With
+   D = V^T dA V, (V^T dr V)_ij = f[i, j] D_ij + sum_k f[i, k, j] D_ik D_kj + ... (Daletskii and Krein). */
+#define SPECTRAL_N (DIM*(DIM + 1)/2)
+
+enum { LOGARITHM, EXPONENTIAL, POWER };
+
+static void eigenvalues(const double *lower, double *values, double *V) {
+  double A[DIM][DIM];
+  for (int i = 0, n = 0; i < DIM; i++) for (int j = 0; j <= i; j++, n++) A[i][j] = A[j][i] = lower[n];
+  for (int i = 0; i < DIM*DIM; i++) V[i] = i % (DIM + 1) == 0;
+  for (int sweep = 0; sweep < 30; sweep++) {
+    int turned = 0;
+    for (int p = 0; p < DIM - 1; p++) for (int q = p + 1; q < DIM; q++) {
+      if (!(fabs(A[p][q]) > 1e-17*(fabs(A[p][p]) + fabs(A[q][q])))) continue;
+      double z = (A[q][q] - A[p][p])/(2*A[p][q]), t = copysign(1, z)/(fabs(z) + sqrt(1 + z*z));
+      double c = 1/sqrt(1 + t*t), s = c*t;
+      for (int i = 0; i < DIM; i++) { double x = A[i][p], y = A[i][q]; A[i][p] = c*x - s*y; A[i][q] = s*x + c*y; }
+      for (int i = 0; i < DIM; i++) { double x = A[p][i], y = A[q][i]; A[p][i] = c*x - s*y; A[q][i] = s*x + c*y; }
+      for (int i = 0; i < DIM; i++) {
+        double x = V[DIM*i+p], y = V[DIM*i+q]; V[DIM*i+p] = c*x - s*y; V[DIM*i+q] = s*x + c*y; }
+      turned = 1; }
+    if (!turned) break; }
+  for (int i = 0; i < DIM; i++) values[i] = A[i][i];
+}
+
+static inline double function_of(const double *parameters, double x) {
+  switch ((int)parameters[0]) {
+    case LOGARITHM: return log(x);
+    case EXPONENTIAL: return exp(x);
+    default: return pow(x, parameters[1]); }
+}
+
+/* f[at[0], ..., at[n-1]] for n = 2 or 3, by a power series around the middle where they are close:
+   sum over k of t_k h_{k-n+1}(at - middle), t_k = f^(k)/k! there, h the complete homogeneous polynomials. */
+static double divided_difference(const double *parameters, const double *at, const double *values, int n) {
+  double low = at[0], high = at[0];
+  int a = 0, c = 0;
+  for (int i = 1; i < n; i++) {
+    if (at[i] < low) { low = at[i]; a = i; }
+    if (at[i] > high) { high = at[i]; c = i; } }
+  int kind = (int)parameters[0];
+  double m = 0.5*(low + high), radius = kind == EXPONENTIAL ? 1 : fabs(m);
+  if (high - low > 0.25*radius) {
+    if (n == 2) return (values[c] - values[a])/(high - low);
+    int b = 3 - a - c;
+    double first[2] = {at[a], at[b]}, second[2] = {at[b], at[c]};
+    double f1[2] = {values[a], values[b]}, f2[2] = {values[b], values[c]};
+    return (divided_difference(parameters, second, f2, 2) - divided_difference(parameters, first, f1, 2))/(high - low); }
+  double alpha = kind == POWER ? parameters[1] : 0, t, h[3] = {1, 1, 1}, sum = 0, reach = 1;
+  t = kind == EXPONENTIAL ? exp(m) : kind == LOGARITHM ? 1/m : alpha*pow(m, alpha - 1);
+  if (n == 3) t *= kind == EXPONENTIAL ? 0.5 : (alpha - 1)/(2*m);
+  for (int k = n - 1; k < n + 20; k++) {
+    sum += t*h[n-1];
+    reach *= 0.5*(high - low);
+    if (fabs(t)*reach <= 1e-18*fabs(sum)) break;
+    h[0] *= at[0] - m; /* h_j+1 of some arguments, from that of one less and h_j of these */
+    for (int i = 1; i < n; i++) h[i] = h[i-1] + (at[i] - m)*h[i];
+    t *= kind == EXPONENTIAL ? 1.0/(k + 1) : (alpha - k)/((k + 1)*m); }
+  return sum;
+}
+
+static void spectral_value(const double *parameters, const double *A, double *r, double *kept) {
+  double x[DIM], f[DIM], *V = kept, *f1 = V + DIM*DIM, *f2 = f1 + DIM*DIM;
+  eigenvalues(A, x, V);
+  for (int i = 0; i < DIM; i++) f[i] = function_of(parameters, x[i]);
+  for (int i = 0; i < DIM; i++) for (int j = i; j < DIM; j++) {
+    double at[2] = {x[i], x[j]}, of[2] = {f[i], f[j]};
+    f1[DIM*i+j] = f1[DIM*j+i] = divided_difference(parameters, at, of, 2);
+    for (int k = j; k < DIM; k++) {
+      double three[3] = {x[i], x[j], x[k]}, values[3] = {f[i], f[j], f[k]};
+      double d = divided_difference(parameters, three, values, 3);
+      f2[(i*DIM+j)*DIM+k] = f2[(i*DIM+k)*DIM+j] = f2[(j*DIM+i)*DIM+k] = d;
+      f2[(j*DIM+k)*DIM+i] = f2[(k*DIM+i)*DIM+j] = f2[(k*DIM+j)*DIM+i] = d; } }
+  for (int i = 0, n = 0; i < DIM; i++) for (int j = 0; j <= i; j++, n++) {
+    r[n] = 0;
+    for (int k = 0; k < DIM; k++) r[n] += V[DIM*i+k]*f[k]*V[DIM*j+k]; }
+}
+
+static void spectral_first(const double *parameters, const double *r, const double *kept, double *G, double *L) {
+  const double *V = kept, *f1 = V + DIM*DIM;
+  for (int i = 0, n = 0; i < DIM; i++) for (int j = 0; j <= i; j++, n++)
+    for (int a = 0, m = 0; a < DIM; a++) for (int b = 0; b <= a; b++, m++) {
+      double ab = V[DIM*i+a]*V[DIM*j+b], ba = V[DIM*i+b]*V[DIM*j+a];
+      G[n*SPECTRAL_N+m] = f1[DIM*a+b]*(a == b ? ab : ab + ba);
+      L[m*SPECTRAL_N+n] = i == j ? ab : ab + ba; }
+}
+
+static void spectral_second(const double *parameters, const double *r, const double *kept, const double *n, double *C,
+                            double *E) {
+  const double *V = kept, *f2 = V + 2*DIM*DIM;
+  double N[DIM][DIM];
+  for (int a = 0; a < DIM; a++) for (int b = 0; b < DIM; b++) {
+    N[a][b] = 0;
+    for (int i = 0, k = 0; i < DIM; i++) for (int j = 0; j <= i; j++, k++)
+      N[a][b] += i == j ? n[k]*V[DIM*i+a]*V[DIM*i+b]
+                        : 0.5*n[k]*(V[DIM*i+a]*V[DIM*j+b] + V[DIM*j+a]*V[DIM*i+b]); }
+  for (int i = 0; i < SPECTRAL_N*SPECTRAL_N; i++) C[i] = E[i] = 0;
+  for (int i = 0; i < DIM; i++) for (int j = 0; j < DIM; j++) for (int k = 0; k < DIM; k++) {
+    int p = i > k ? i*(i+1)/2 + k : k*(k+1)/2 + i, q = k > j ? k*(k+1)/2 + j : j*(j+1)/2 + k;
+    double c = N[i][j]*f2[(i*DIM+k)*DIM+j];
+    C[p*SPECTRAL_N+q] += c; C[q*SPECTRAL_N+p] += c; }
+}

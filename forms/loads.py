@@ -1,0 +1,196 @@
+"""Loads: a potential energy, or the virtual work of forces that have none, on cells or facets."""
+
+from __future__ import annotations
+
+from abc import ABC
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import ufl
+from dolfinx import fem, mesh
+from ufl.core.expr import Expr
+
+from forms.body import BodyLike
+from forms.kinematics import deformation_gradient
+
+Vector = Sequence[float] | Callable[[float], Sequence[float]] | Expr
+"""Components; a function from time [s] to them; or a `fem.Constant` of the user's own."""
+
+Scalar = float | Callable[[float], float] | Expr
+"""A number; a function from time [s] to it; or a `fem.Constant` of the user's own."""
+
+
+class Load(ABC):
+    """A load on a body.
+
+    A new one is a subclass with `energy` or `work`, and an entry in the registry:
+    `LOADS["mine"] = Mine`. What it takes from `constant` may be changed at any time, as an
+    attribute of the load; forms see it after the next `set_time`, and nothing is compiled anew.
+    """
+
+    def energy(self, body: BodyLike, u: Expr, rho: Expr | None) -> ufl.Form | None:
+        """Return the potential energy [J], or None if the load has none.
+
+        Args:
+            body: The body.
+            u: Displacement [m] at which it is taken, shape (d,).
+            rho: Density [kg/m³], None if the model has none.
+        """
+        return None
+
+    def work(self, body: BodyLike, u: Expr, v: Expr) -> ufl.Form | None:
+        """Return the work [J] that forces without a potential do on v, or None if there are none.
+
+        Args:
+            body: The body.
+            u: Displacement [m] at which the forces are taken, shape (d,).
+            v: Virtual displacement [m], shape (d,).
+        """
+        return None
+
+    def set_time(self, t: float) -> None:
+        """Put the present values of all attributes, at time t [s], into forms."""
+        for (name, _), constant in self._constants.items():
+            constant.value[...] = _at(getattr(self, name), t)
+
+    def constant(self, msh: mesh.Mesh, name: str, shape: tuple[int, ...] = ()) -> Expr:
+        """Return the attribute of that name as a constant on a mesh; an expression as it is.
+
+        Raises:
+            ValueError: It has not that shape.
+        """
+        given = getattr(self, name)
+        if not isinstance(given, Expr):
+            constants = self._constants
+            if (name, msh) not in constants:
+                constants[name, msh] = fem.Constant(msh, np.array(_at(given, 0.0), dtype=float))
+            given = constants[name, msh]
+        if given.ufl_shape != shape:
+            right = f"{shape[0]} numbers, as the body has dimensions" if shape else "one number"
+            raise ValueError(f"{type(self).__name__}: {name} must be {right}")
+        return given
+
+    @cached_property
+    def _constants(self) -> dict[tuple[str, mesh.Mesh], fem.Constant]:
+        return {}
+
+
+@dataclass(eq=False)
+class Gravity(Load):
+    """The same acceleration everywhere: -ρ g · u.
+
+    Attributes:
+        g: Acceleration [m/s²].
+    """
+
+    g: Vector
+
+    def energy(self, body: BodyLike, u: Expr, rho: Expr | None) -> ufl.Form:
+        """Return -∫ ρ g · u dX.
+
+        Raises:
+            ValueError: There is no density.
+        """
+        g = self.constant(body.mesh, "g", u.ufl_shape)
+        if rho is None:
+            raise ValueError("Gravity needs a density; give the model one: rho = ... [kg/m³]")
+        return -rho * ufl.inner(g, u) * ufl.dx
+
+
+@dataclass(eq=False)
+class BodyForce(Load):
+    """A force that depends on place and time: -f(X, t) · u.
+
+    Attributes:
+        force: Function from the position at rest X [m] and the time t [s], both UFL expressions, to
+            the force by volume at rest [N/m³], d components. Called once.
+    """
+
+    force: Callable[[Expr, Expr], Expr | Sequence[Expr | float]]
+    time: float = field(default=0.0, init=False, repr=False)
+
+    def energy(self, body: BodyLike, u: Expr, rho: Expr | None) -> ufl.Form:
+        """Return -∫ f · u dX."""
+        t = self.constant(body.mesh, "time")
+        f: Any = self.force(ufl.SpatialCoordinate(body.mesh), t)
+        return -ufl.inner(f if isinstance(f, Expr) else ufl.as_vector(f), u) * ufl.dx
+
+    def set_time(self, t: float) -> None:
+        """Move to time t [s]."""
+        self.time = t
+        super().set_time(t)
+
+
+@dataclass(eq=False)
+class Traction(Load):
+    """A dead force on facets, which keeps its direction and its size by area at rest: -t · u.
+
+    Attributes:
+        value: Force by area at rest [Pa].
+        where: The facets, as the body takes it; by default the whole boundary.
+    """
+
+    value: Vector
+    where: Any = None
+
+    def energy(self, body: BodyLike, u: Expr, rho: Expr | None) -> ufl.Form:
+        """Return -∫ t · u dA."""
+        t = self.constant(body.mesh, "value", u.ufl_shape)
+        return -ufl.inner(t, u) * body.ds(self.where)
+
+
+@dataclass(eq=False)
+class Pressure(Load):
+    """A pressure that follows the surface: the force -p n da, -p cof(F) N dA at rest.
+
+    A closed surface has a potential, p times the volume within, here with the sign of N. Others
+    have none, so that their tangent is not symmetric.
+
+    Attributes:
+        value: Pressure p [Pa], positive where it pushes on the body.
+        where: The facets, as the body takes it; by default the whole boundary, which is closed.
+        closed: Whether the facets are closed surfaces, such as that of a cavity.
+    """
+
+    value: Scalar
+    where: Any = None
+    closed: bool = False
+
+    def energy(self, body: BodyLike, u: Expr, rho: Expr | None) -> ufl.Form | None:
+        """Return p/d ∫ x · cof(F) N dA of a closed surface."""
+        if not self._is_closed:
+            return None
+        x = ufl.SpatialCoordinate(body.mesh) + u
+        return ufl.inner(self._push(body, u), x) / len(u) * body.ds(self.where)
+
+    def work(self, body: BodyLike, u: Expr, v: Expr) -> ufl.Form | None:
+        """Return -∫ p cof(F) N · v dA of a surface that is not closed."""
+        if self._is_closed:
+            return None
+        return -ufl.inner(self._push(body, u), v) * body.ds(self.where)
+
+    @property
+    def _is_closed(self) -> bool:
+        return self.closed or self.where is None
+
+    def _push(self, body: BodyLike, u: Expr) -> Expr:
+        """The force by area at rest on what lies outside, p cof(F) N."""
+        normal = ufl.cofac(deformation_gradient(u)) * ufl.FacetNormal(body.mesh)
+        return self.constant(body.mesh, "value") * normal
+
+
+def _at(given: Any, t: float) -> Any:
+    """The value of a number, or of a function of time."""
+    return given(t) if callable(given) else given
+
+
+LOADS: dict[str, type[Load]] = {
+    "gravity": Gravity,
+    "body-force": BodyForce,
+    "traction": Traction,
+    "pressure": Pressure,
+}
+"""Loads by the name that a scene file uses. To add one: `LOADS["mine"] = Mine`."""

@@ -1,0 +1,237 @@
+"""What a body is: formulation, strain energy, density, loads, motions and history variables."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from mpi4py import MPI
+
+import numpy as np
+import ufl
+from dolfinx import fem
+from ufl.core.expr import Expr
+
+from forms.body import BodyLike
+from forms.cell_data import refresh
+from forms.constants import as_constant
+from forms.damping import Rayleigh
+from forms.fields import point_field
+from forms.formulations import FORMULATIONS, Fields, Formulation
+from forms.history import History
+from forms.kinematics import deformation_gradient
+from forms.loads import Load
+from forms.materials import Material, StrainEnergy
+from forms.motions import Motion
+from forms.points import measure
+from forms.rotation import right_stretch
+from forms.stress import first_piola_kirchhoff_stress
+from forms.time import Scheme
+
+
+class Model:
+    """A body in one formulation, from which the terms of its equations of motion follow.
+
+        model = Model(body, "symmetric", psi, rho=1000.0, loads=[Gravity(g)],
+                      motions=[Fixed(Where(extents=(("x", "min"),)))])
+        scheme = BackwardEuler(model.u, h=0.1)
+        problem = MixedProblem(model.energy(scheme), model.fields, model.bcs)
+        for _ in range(steps):
+            model.update(scheme)
+            problem.solve()
+            model.accept(scheme)
+
+    Attributes:
+        body: The body.
+        form: The formulation.
+        psi: The strain energy density.
+        rho: Density [kg/m³], an expression, or None.
+        fields: The unknowns, the displacement first.
+        u: The displacement [m].
+        loads: The loads.
+        histories: The history variables.
+        damping: Rayleigh damping, or None.
+        bcs: The Dirichlet conditions of all motions.
+    """
+
+    def __init__(
+        self,
+        body: BodyLike,
+        formulation: str | Formulation,
+        psi: StrainEnergy,
+        *,
+        rho: float | Expr | None = None,
+        loads: Sequence[Load] = (),
+        motions: Sequence[Motion] = (),
+        histories: Sequence[History] = (),
+        damping: Rayleigh | None = None,
+        degree: int = 1,
+    ) -> None:
+        """Make the fields, at rest, and the conditions. Collective.
+
+        Args:
+            body: The body.
+            formulation: A name in `FORMULATIONS`, or one that is not there.
+            psi: Strain energy density [J/m³], a function of the right stretch.
+            rho: Density [kg/m³]; not needed in statics without gravity.
+            loads: See `forms.loads`.
+            motions: See `forms.motions`. Where two hold the same point, the last counts.
+            histories: See `forms.history`.
+            damping: See `forms.damping`.
+            degree: Of the element.
+
+        Raises:
+            ValueError: There is no such formulation; cells or a degree that it does not take;
+                damping by a stiffness that is not known; or what the body raises for a part that it
+                does not have.
+        """
+        if isinstance(formulation, str) and formulation not in FORMULATIONS:
+            known = ", ".join(FORMULATIONS)
+            raise ValueError(f"formulation is {formulation!r}; available: {known}")
+        self.body = body
+        self.form = FORMULATIONS[formulation] if isinstance(formulation, str) else formulation
+        self.psi = psi
+        self.rho = None if rho is None else as_constant(rho, body.mesh)
+        self.fields: Fields = self.form.fields(body.mesh, degree)
+        self.u = self.fields[0]
+        self.loads = list(loads)
+        self.histories = list(histories)
+        self.damping = damping
+        self._S_old: fem.Function | None = None
+        if damping is not None and damping.stiffness > 0.0:
+            if damping.moduli is None and not isinstance(psi, Material):
+                raise ValueError("damping needs the moduli of the material; give it moduli = ...")
+            d = body.mesh.geometry.dim
+            self._S_old = point_field(
+                body.mesh, np.eye(d), degree=degree, symmetric=True, name="S_old"
+            )
+            self.histories.append(History(self._S_old, Model.stretch))
+        self._held = [motion.hold(body, self.u.function_space) for motion in motions]
+        self.bcs: list[fem.DirichletBC] = [bc for held in self._held for bc in held.bcs]
+
+    def energy(self, scheme: Scheme) -> ufl.Form:
+        """Return what a step makes stationary [J], a functional of the fields.
+
+        Args:
+            scheme: Of `u`.
+
+        Raises:
+            ValueError: The scheme moves another displacement; it or a load needs a density, and
+                there is none; or Ψ is not of the kind that the formulation takes.
+        """
+        if scheme.u is not self.u:
+            raise ValueError("the scheme moves another displacement than that of the model")
+        u = scheme.point(self.u)
+        energy = self.form.density(u, *self.fields[1:], self.psi) * measure(self.u)
+        if scheme.inertial:
+            energy += scheme.kinetic(self._density(scheme)) * ufl.dx
+        return sum((*self._potentials(u), *self._dissipations(scheme)), energy)
+
+    def virtual_work(self, scheme: Scheme) -> ufl.Form | None:
+        """Return the work [J] that loads without a potential do on a test function of u.
+
+        In a step the derivative of `energy` equals it. None if every load has a potential.
+        """
+        test = ufl.TestFunction(self.u.function_space)
+        u = scheme.point(self.u)
+        v = ufl.algorithms.expand_derivatives(ufl.derivative(u, self.u, test))
+        terms = [load.work(self.body, u, v) for load in self.loads]
+        done = [term for term in terms if term is not None]
+        return sum(done[1:], done[0]) if done else None
+
+    def update(self, scheme: Scheme) -> None:
+        """Put motions at the end of the coming step, and loads where the scheme takes them."""
+        for held in self._held:
+            held.set_time(scheme.end)
+        for load in self.loads:
+            load.set_time(scheme.point_time)
+
+    def accept(self, scheme: Scheme) -> None:
+        """End a step: update the history variables, then advance the scheme. Collective."""
+        values = [history.after_step(self, scheme) for history in self.histories]
+        for history, new in zip(self.histories, values, strict=True):
+            history.field.x.array[:] = new
+        scheme.advance()
+
+    def stretch(self, scheme: Scheme) -> Expr:
+        """Return the right stretch at the end of a step, shape (d, d).
+
+        That which Ψ is a function of. Where the scheme takes Ψ elsewhere, the fields beside the
+        displacement are those of another point, and it is S(F).
+        """
+        if self._all_at_end(scheme):
+            return self.form.stretch(*self.fields)
+        return right_stretch(deformation_gradient(self.u))
+
+    def stress(self, scheme: Scheme) -> Expr:
+        """Return the first Piola-Kirchhoff stress [Pa] at the end of a step, shape (d, d).
+
+        See `stretch`.
+        """
+        if self._all_at_end(scheme):
+            return self.form.stress(*self.fields, self.psi)
+        return first_piola_kirchhoff_stress(deformation_gradient(self.u), self.psi)
+
+    def energies(self, scheme: Scheme) -> EnergyIntegrals:
+        """Return what gives the energies between steps: `model.energies(scheme).now()`.
+
+        Made once, as it compiles. Collective.
+        """
+        kinetic = None
+        if scheme.inertial:
+            kinetic = scheme.kinetic_energy(self._density(scheme)) * ufl.dx
+        elastic = self.psi(self.stretch(scheme)) * measure(self.u)
+        potentials = self._potentials(self.u)
+        potential = sum(potentials[1:], potentials[0]) if potentials else None
+        return EnergyIntegrals(self.body.mesh.comm, (kinetic, elastic, potential))
+
+    def _all_at_end(self, scheme: Scheme) -> bool:
+        return len(self.fields) == 1 or scheme.point(self.u) is self.u
+
+    def _potentials(self, u: Expr) -> list[ufl.Form]:
+        terms = [load.energy(self.body, u, self.rho) for load in self.loads]
+        return [term for term in terms if term is not None]
+
+    def _dissipations(self, scheme: Scheme) -> list[ufl.Form]:
+        """Potentials of dissipation."""
+        terms: list[ufl.Form] = []
+        if self.damping is None:
+            return terms
+        if self.damping.mass > 0.0:
+            terms.append(self.damping.of_mass(scheme, self._density(scheme)) * ufl.dx)
+        if self._S_old is not None:
+            S = self.form.stretch(scheme.point(self.u), *self.fields[1:])
+            moduli = self.damping.moduli or self.psi.rest  # type: ignore[attr-defined]
+            viscous = self.damping.of_stiffness(scheme, S, self._S_old, moduli)
+            terms.append(viscous * measure(self.u))
+        return terms
+
+    def _density(self, scheme: Scheme) -> Expr:
+        if self.rho is None:
+            name = type(scheme).__name__
+            raise ValueError(f"{name} needs a density; give the model one: rho = ... [kg/m³]")
+        return self.rho
+
+
+class Energies(NamedTuple):
+    """Energies [J] of a whole body; 0 for what there is not."""
+
+    kinetic: float
+    elastic: float
+    potential: float
+
+
+class EnergyIntegrals:
+    """The integrals that give the energies of a body, compiled once."""
+
+    def __init__(self, comm: MPI.Comm, integrals: Sequence[ufl.Form | None]) -> None:
+        """Compile the kinetic, elastic and potential energy. Collective."""
+        self._comm = comm
+        self._integrals = integrals
+        self._compiled = [None if form is None else fem.form(form) for form in integrals]
+
+    def now(self) -> Energies:
+        """Return the present values. Collective."""
+        refresh(form for form in self._integrals if form is not None)
+        local = [0.0 if form is None else fem.assemble_scalar(form) for form in self._compiled]
+        return Energies(*(float(self._comm.allreduce(value)) for value in local))

@@ -1,0 +1,1 @@
+"""Energies evaluated point by point in compiled C: any density, its Newton system condensed."""

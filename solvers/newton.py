@@ -1,0 +1,398 @@
+"""Newton's method on a system: PETSc's SNES, what ends it, and a record of what it did."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from petsc4py import PETSc
+
+import numpy as np
+
+from solvers import options as defaults
+from solvers.layout import is_local
+from solvers.lifetime import weakly
+from solvers.linear import LINEAR_REASONS, LinearSolver, names_of
+from solvers.scaling import equilibrate
+from solvers.systems import System
+
+if TYPE_CHECKING:
+    from solvers.strategies.base import Strategy
+
+logger = logging.getLogger("mixed_fem")
+
+Reason = PETSc.SNES.ConvergedReason
+
+
+@dataclass
+class History:
+    """What happened in a solve, iteration by iteration; see `SolveResult`."""
+
+    norms: list[dict[str, float]] = field(default_factory=list)
+    residuals: list[float] = field(default_factory=list)
+    krylov: list[int] = field(default_factory=list)
+    inner: list[int] = field(default_factory=list)
+    notes: dict[int, str] = field(default_factory=dict)
+    timings: dict[str, float] = field(default_factory=lambda: {"residual": 0.0, "jacobian": 0.0})
+
+
+class Newton:
+    """Newton's method, from the fields as they stand.
+
+    Attributes:
+        system: What it solves.
+        linear: What solves its linear systems.
+        history: Of the present solve.
+        reason: PETSc's reason for the end of the last pass.
+        failure: What the linear solver says where that is to blame.
+    """
+
+    def __init__(self, system: System, linear: LinearSolver) -> None:
+        """Put callbacks into the SNES of the system.
+
+        Args:
+            system: What to solve.
+            linear: What has been made its linear solver.
+        """
+        self.system, self.linear, self.snes = system, linear, system.solver
+        self.history = History()
+        self.reason, self.failure = 0, ""
+        self._scaled = False
+        self._before = [np.empty_like(f.x.array) for f in system.fields]
+        self._begin_pass(np.inf, forced=False)
+        snes, A = self.snes, system.A
+        # PETSc must not keep this object alive, which keeps PETSc's objects alive.
+        snes.setFunction(weakly(self._residual), system.b)
+        snes.setJacobian(weakly(self._jacobian), A, A)
+        snes.setConvergenceTest(weakly(self._test))
+        snes.setMonitor(weakly(self._record))
+
+    @property
+    def alone(self) -> bool:
+        """Whether the displacement is the only field."""
+        return len(self.system.fields) == 1
+
+    def steer(self, strategy: Strategy) -> None:
+        """Ask a strategy before each iteration and each step."""
+        self._exact = strategy.exact
+        self.snes.setUpdate(weakly(strategy.before_iteration))
+        self.snes.setLineSearchPreCheck(weakly(strategy.before_step))
+
+    def require_descent(self, name: str, *, alone: bool) -> None:
+        """Insist on a system with an energy to go down on.
+
+        Args:
+            name: Of the strategy.
+            alone: Whether the displacement must be the only field.
+
+        Raises:
+            ValueError: There is none, or no tangent that is positive semi-definite.
+        """
+        if alone and not self.alone:
+            raise ValueError(f"globalisation {name!r} needs the displacement alone as field")
+        if not self.system.descends:
+            raise ValueError(
+                f"globalisation {name!r} goes down on the energy: it needs the engine and no work"
+            )
+
+    def monitor(self, *, newton: bool, krylov: bool) -> None:
+        """Print the residual norm of each field at each Newton iteration, at each Krylov one."""
+        if newton:
+            self.snes.setMonitor(weakly(self._print_newton))
+        if krylov:
+            self.snes.getKSP().setMonitor(weakly(self._print_krylov))
+
+    def begin(self) -> None:
+        """Begin a solve from the present values of the fields. Collective."""
+        for f, values in zip(self.system.fields, self._before, strict=True):
+            values[:] = f.x.array
+        self.history, self.failure = History(), ""
+        if not self._scaled:
+            self._set_scales()
+        self.linear.start()
+        self.system.unknowns.read(self.system.x)
+        unknowns = self.system.unknowns
+        self._floor = unknowns.round_off(self.system.x) if self._exact else 0.0
+        self._size = unknowns.size()
+
+    def restart(self, note: str) -> None:
+        """Begin again where the solve began, and note why. Collective."""
+        self.restore()
+        self.system.unknowns.read(self.system.x)
+        self.linear.restart()
+        self.note(note)
+
+    def blame(self, what: str) -> None:
+        """Say why the solve failed, before what is known already."""
+        self.failure = f"{what}; {self.failure}" if self.failure else what
+
+    def note(self, what: str, *, last: bool = False) -> None:
+        """Put a remark beside the next iteration, or the last one."""
+        notes, k = self.history.notes, len(self.history.residuals) - last
+        notes[k] = f"{notes[k]}; {what}" if k in notes else what
+
+    def meet_conditions(self, x: PETSc.Vec) -> None:
+        """Put unknowns, and the fields, where the Dirichlet conditions want them. Collective."""
+        self.system.unknowns.write(x)
+        self.system.meet_conditions()
+        self.system.unknowns.read(x)
+
+    def merit(self, x: PETSc.Vec) -> float:
+        """The energy of positions [J]. Collective.
+
+        The cell-local fields are where the energy is stationary in them, which makes it a function
+        of the others, with the condensed matrix as its second derivative.
+
+        Args:
+            x: Scaled unknowns.
+
+        Returns:
+            The energy, infinite where there is none.
+        """
+        followed = True
+        with self.evaluation("residual", x):
+            if not self.alone:
+                followed = self.system.relax() or self._relaxed_on_the_way()
+            energy = self.system.energy() if followed else np.inf
+        return energy if np.isfinite(energy) else np.inf
+
+    def _relaxed_on_the_way(self) -> bool:
+        """Relax in steps from where the solve began to the present positions. Collective."""
+        shared = [
+            (f, b) for f, b in zip(self.system.fields, self._before, strict=True) if not is_local(f)
+        ]
+        ends = [f.x.array.copy() for f, _ in shared]
+        for steps in defaults.ON_THE_WAY:
+            self.restore()
+            for k in range(1, steps + 1):
+                for (f, begin), end in zip(shared, ends, strict=True):
+                    f.x.array[:] = begin + k / steps * (end - begin)
+                if not self.system.relax():
+                    break
+            else:
+                return True
+        return False
+
+    def descent(self, x: PETSc.Vec, projection: int) -> tuple[PETSc.Vec, PETSc.Vec, float]:
+        """A Newton step for that energy, from x - step, towards what is subtracted. Collective.
+
+        Args:
+            x: Scaled unknowns, with an energy that is finite.
+            projection: Of the tangent, see `System`.
+
+        Returns:
+            x with the cell-local fields where the energy is stationary in them; the step; and the
+            slope of the energy along it, in the unit of the scaled system.
+        """
+        system, ksp = self.system, self.snes.getKSP()
+        self.merit(x)
+        base, step, right = x.duplicate(), x.duplicate(), x.duplicate()
+        system.unknowns.read(base)
+        system.projection, before = projection, system.projection
+        with self.evaluation("residual", base):
+            system.residual(right)
+        with self.evaluation("jacobian", base):
+            system.jacobian(right)
+        system.projection = before
+        self.linear.follow()
+        ksp.setOperators(*self.snes.getJacobian()[:2])
+        ksp.solve(right, step)
+        slope = right.dot(step) if ksp.getConvergedReason() > 0 else -np.inf
+        right.destroy()
+        return base, step, slope if np.isfinite(slope) else -np.inf
+
+    def restore(self) -> None:
+        """Put the values from before the solve into the fields."""
+        for f, values in zip(self.system.fields, self._before, strict=True):
+            f.x.array[:] = values
+
+    def iterate(
+        self, growth: float = np.inf, *, most: int | None = None, forced: bool = False
+    ) -> bool:
+        """Iterate from where the unknowns are to the end. Collective.
+
+        Args:
+            growth: Of the residual past that of the first iteration, at which to stop.
+            most: Iterations, no more than what is left of those of the solve.
+            forced: Whether to take an iteration where there is no residual at all.
+
+        Returns:
+            Whether this has converged.
+        """
+        snes, x = self.snes, self.system.x
+        self._begin_pass(growth, forced=forced)
+        limit = snes.getTolerances()[3]
+        left = limit - self._before_pass
+        snes.setTolerances(max_it=left if most is None else min(left, most))
+        snes.solve(None, x)
+        snes.setTolerances(max_it=limit)
+        self.system.unknowns.write(x)
+        self.reason = int(snes.getConvergedReason())
+        if self.reason == Reason.DIVERGED_LINEAR_SOLVE:
+            self._count()  # of the iteration that did not come to its end
+            reason = snes.getKSP().getConvergedReason()
+            self.failure = LINEAR_REASONS.get(reason, str(reason))
+            if reason == PETSc.KSP.ConvergedReason.DIVERGED_PCSETUP_FAILED:
+                self.failure += f": {self.linear.why()}"
+        return self.reason > 0
+
+    @property
+    def exhausted(self) -> bool:
+        """Whether no iteration of the solve is left."""
+        return self.iterations >= self.snes.getTolerances()[3]
+
+    @property
+    def iterations(self) -> int:
+        """Newton iterations of the present solve."""
+        return self._before_pass + int(self.snes.getIterationNumber())
+
+    def explain(self) -> str:
+        """PETSc's name of the reason, and what the linear solver says where that is to blame."""
+        name = REASONS[self.reason]
+        return f"{name} ({self.failure})" if self.failure else name
+
+    def forget_scales(self) -> None:
+        """Find units anew the next time: those of a state that led nowhere may be to blame."""
+        self._scaled = False
+
+    def _begin_pass(self, growth: float, *, forced: bool) -> None:
+        self._growth, self._forced = growth, forced
+        self._before_pass = max(len(self.history.residuals) - 1, 0)
+        self._pass: list[float] = []
+        self._steps: list[float] = []
+        self._stagnates = False
+        self.halted = 0  # a strategy's reason to end the pass
+
+    def _set_scales(self) -> None:
+        system = self.system
+        system.unknowns.set_scales(np.ones(len(system.fields)))
+        system.b.set(0.0)
+        system.unknowns.read(system.x)
+        self._evaluate_jacobian(system.x)
+        system.rescale(equilibrate(system.block_entries()))
+        P = self.linear.set_up(system.A)
+        self.snes.setJacobian(weakly(self._jacobian), system.A, P)
+        self._scaled = True
+
+    # PETSc's callbacks
+
+    def _residual(self, snes: PETSc.SNES, x: PETSc.Vec, b: PETSc.Vec) -> None:
+        """The scaled residual at scaled unknowns."""
+        with self.evaluation("residual", x):
+            self.system.residual(b)
+
+    def _jacobian(self, snes: PETSc.SNES, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
+        """The scaled Jacobian at scaled unknowns."""
+        self._evaluate_jacobian(x)
+        self.linear.follow()
+
+    def _evaluate_jacobian(self, x: PETSc.Vec) -> None:
+        with self.evaluation("jacobian", x):
+            # The residual, which the Newton step is to be solved for, is that of this state.
+            self.system.jacobian(self.system.b)
+
+    @contextmanager
+    def evaluation(self, phase: str, x: PETSc.Vec) -> Iterator[None]:
+        """Put the unknowns into the fields, refresh the per-cell data; take time."""
+        start = time.perf_counter()
+        self.system.unknowns.write(x)
+        for data in self.system.data:
+            data.refresh()
+        yield
+        self.history.timings[phase] += time.perf_counter() - start
+
+    def _test(
+        self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]
+    ) -> PETSc.SNES.ConvergedReason:
+        """PETSc's own test, with rounding error as the absolute tolerance; and divergence."""
+        size, step, norm = norms
+        rtol, given, stol, _ = snes.getTolerances()
+        atol = max(given, self._floor * (defaults.NEAR_ROUND_OFF if self._stagnates else 1.0))
+        first = self.history.residuals[0] if self.history.residuals else norm
+        previous = self._pass[-1] if self._pass else norm
+        self._pass.append(norm)
+        if iteration == 0:
+            self.linear.target = max(atol, rtol * norm)
+        self._stagnates |= iteration > 1 and self._is_rounding_error(norm, previous)
+        if not np.isfinite(norm):
+            return Reason.DIVERGED_FUNCTION_NANORINF
+        if self.halted:
+            return self.halted
+        if iteration == 0:
+            # Rounding error of a stiff part may hide the forces on a soft one, and its motion.
+            still = norm == 0.0 and not self._forced
+            return Reason.CONVERGED_FNORM_ABS if still else Reason.CONVERGED_ITERATING
+        if norm < given:
+            return Reason.CONVERGED_FNORM_ABS
+        if norm < atol and (reason := self._rests()):
+            return reason
+        if norm <= rtol * first:
+            return Reason.CONVERGED_FNORM_RELATIVE
+        if step < stol * size:
+            return Reason.CONVERGED_SNORM_RELATIVE
+        limit = snes.getDivergenceTolerance()
+        if iteration > 1:
+            limit = min(limit, self._growth * max(1.0, self._pass[1] / self._pass[0]))
+        if norm > limit * self._pass[0]:
+            return Reason.DIVERGED_DTOL
+        return Reason.CONVERGED_ITERATING
+
+    def _rests(self) -> int:
+        """Whether a body whose forces are rounding error no longer moves either. Collective.
+
+        That of a stiff part may hide the forces on a soft one; Newton's steps show them.
+
+        Returns:
+            The reason to stop, or 0.
+        """
+        steps = self._steps
+        steps.append(self.system.unknowns.largest_move(self.snes.getSolutionUpdate()) / self._size)
+        if steps[-1] > defaults.SETTLED and (len(steps) < 2 or steps[-1] < steps[-2] / 2):
+            return 0
+        if steps[-1] < defaults.UNSETTLED:
+            return int(Reason.CONVERGED_FNORM_ABS)
+        self.failure = "rounding error of the stiffest part hides the forces on others"
+        return int(Reason.DIVERGED_DTOL)
+
+    def _is_rounding_error(self, norm: float, previous: float) -> bool:
+        """Whether a small residual no longer falls; the next iteration will then be the last."""
+        near = norm <= defaults.NEAR_ROUND_OFF * self._floor
+        if self.snes.getLineSearch().getType() != PETSc.SNESLineSearch.Type.BASIC:
+            # A line search with tiny steps also stagnates, near its start.
+            near = near and norm < defaults.FALLEN * max(self.history.residuals, default=0.0)
+        return near and norm > previous / 2
+
+    def _record(self, snes: PETSc.SNES, iteration: int, norm: float) -> None:
+        if iteration > 0:
+            self._count()
+        elif self.history.residuals:
+            return  # the start again
+        self.history.norms.append(self.system.unknowns.norms(self.system.b))
+        self.history.residuals.append(float(norm))
+        logger.debug("Newton %d: %s", iteration, self.history.norms[-1])
+
+    def _count(self) -> None:
+        """Note the linear iterations of the Newton iteration just made."""
+        outer, inner = self.linear.count()
+        self.history.krylov.append(outer)
+        if inner is not None:
+            self.history.inner.append(inner)
+
+    def _print_newton(self, snes: PETSc.SNES, iteration: int, norm: float) -> None:
+        self._print("Newton", iteration, self.system.b)
+
+    def _print_krylov(self, ksp: PETSc.KSP, iteration: int, norm: float) -> None:
+        self._print("  Krylov", iteration, ksp.buildResidual())
+
+    def _print(self, method: str, iteration: int, b: PETSc.Vec) -> None:
+        norms = self.system.unknowns.norms(b)
+        if self.system.unknowns.layout.comm.rank == 0:
+            parts = (f"|r_{name}| {norm:.6e}" for name, norm in norms.items())
+            print(f"{method} {iteration:3d}", *parts, sep="  ", flush=True)
+
+
+REASONS = names_of(Reason)

@@ -1,0 +1,474 @@
+"""What a run leaves on disk and on the screen, and that nothing computed is lost."""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+import re
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+from mpi4py import MPI
+
+import meshio
+import numpy as np
+import pytest
+from dolfinx import fem
+
+from demos.app import picture
+from demos.app.cli import main
+from demos.app.output import final_state, write_surface
+from demos.app.progress import Screen
+from demos.app.scene import Scene, parse
+from demos.app.simulation import Simulation, build_body
+from forms import MATERIALS, deformation_gradient
+from tests.bodies import LOCAL
+
+COMM = MPI.COMM_WORLD
+
+# A strip, its vertices and cells listed in no order that DOLFINx would choose.
+POINTS = np.array([[2.0, 0], [0, 0], [1, 1], [0, 1], [1, 0], [2, 1], [3, 1], [3, 0]])
+TRIANGLES = np.array([[2, 0, 5], [4, 1, 2], [6, 0, 7], [1, 3, 2], [2, 4, 0], [0, 6, 5]])
+
+STRIP = """\
+[mesh]
+file = "strip.mesh"
+[[material]]
+name = "stable-neo-hookean"
+E = 1e5
+nu = 0.4
+rho = 1000.0
+[[boundary]]
+where = { x = "min" }
+motion = "fixed"
+[load]
+gravity = [0.0, -9.81]
+[time]
+h = 0.05
+steps = 3
+[solve]
+baseline = "displacement"
+"""
+
+
+@pytest.fixture
+def strip(tmp_path: Path) -> Path:
+    """The scene file of the strip, next to its mesh."""
+    path = tmp_path / "strip.toml"
+    if COMM.rank == 0:
+        mesh = meshio.Mesh(POINTS, [("triangle", TRIANGLES)])
+        mesh.write(tmp_path / "strip.mesh")
+        path.write_text(STRIP)
+    COMM.barrier()
+    return path
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Spare the seconds that a picture takes."""
+    monkeypatch.setattr(picture, "draw", lambda *_args, **_kwargs: "not needed by this test")
+
+
+def scene(path: Path) -> Scene:
+    return parse(path.read_text(), path)
+
+
+def table(path: Path) -> dict[str, np.ndarray]:
+    with path.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    numbers = [key for key in rows[0] if key != "note"]
+    return {key: np.array([float(row[key]) for row in rows]) for key in numbers}
+
+
+def last_fields(folder: Path) -> tuple[float, float]:
+    """The largest |S - I| and |u| in the last of the files for ParaView."""
+    last = sorted((folder / "fields").glob("fields_p*_000003.vtu"))
+    assert len(last) == COMM.size
+    arrays = {"u": [], "|S - I|": []}
+    for path in last:
+        for array in ET.parse(path).iter("DataArray"):
+            if array.get("Name") in arrays:
+                values = np.array((array.text or "").split(), dtype=float)
+                rows = values.reshape(-1, int(array.get("NumberOfComponents") or 1))
+                arrays[array.get("Name")].extend(np.linalg.norm(rows, axis=1))
+    return max(arrays["|S - I|"]), max(arrays["u"])
+
+
+@pytest.mark.parametrize("formulation", LOCAL)
+def test_final_state_is_in_file_order_and_consistent(formulation, strip):
+    """X and cells as in the file; S, Λ and v follow from the positions, by other means."""
+    given = scene(strip)
+    simulation = Simulation(given, build_body(given, COMM), formulation)
+    state = final_state(simulation)
+    for _ in simulation.march(given.steps):
+        before, state = state, final_state(simulation)
+        if COMM.rank == 0:
+            velocity = (state["x"] - before["x"]) / given.h
+            np.testing.assert_allclose(state["v"], velocity, rtol=0, atol=1e-12)
+    if COMM.rank != 0:
+        assert state is None
+        return
+    np.testing.assert_array_equal(state["X"], POINTS)
+    np.testing.assert_array_equal(state["cells"], np.sort(TRIANGLES))
+    assert state["t"] == pytest.approx(3 * given.h)
+    assert np.abs(state["x"] - POINTS).max() > 0.05  # it has moved
+
+    rest, now = (p[TRIANGLES[:, 1:]] - p[TRIANGLES[:, :1]] for p in (state["X"], state["x"]))
+    F = np.linalg.solve(rest, now).transpose(0, 2, 1)
+    U, sigma, Vt = np.linalg.svd(F)
+    S = np.einsum("nji,nj,njk->nik", Vt, sigma, Vt)
+    np.testing.assert_allclose(state["S"], S, rtol=0, atol=1e-9)
+    material = MATERIALS["stable-neo-hookean"](1e5, 0.4)
+    J = sigma.prod(axis=1)
+    principal = (material.lam * (J - 1) - material.mu)[:, None] * J[
+        :, None
+    ] / sigma + material.mu * sigma
+    P = np.einsum("nij,nj,njk->nik", U, principal, Vt)
+    np.testing.assert_allclose(state["Lam"], P, rtol=0, atol=1e-9 * material.mu)
+
+
+@pytest.mark.mpi
+def test_final_state_does_not_depend_on_the_number_of_ranks(strip):
+    given = scene(strip)
+    states = []
+    for comm in (COMM, MPI.COMM_SELF):
+        simulation = Simulation(given, build_body(given, comm), "symmetric")
+        list(simulation.march(given.steps))
+        states.append(final_state(simulation))
+        energies = simulation.energies()
+        states[-1] = COMM.bcast(states[-1])
+        states[-1]["energies"] = np.array([energies.kinetic, energies.elastic, energies.potential])
+    many, one = states
+    for key, values in one.items():
+        scale = max(np.abs(values).max(), 1e-300)
+        np.testing.assert_allclose(many[key] / scale, values / scale, atol=1e-12, err_msg=key)
+
+
+# Other elements
+
+BOX = STRIP.replace(
+    'file = "strip.mesh"', 'box = { size = [2.0, 1.0], cells = [4, 2], cell = "quadrilateral" }'
+)
+
+
+def elements(cell: str, degree: int) -> Scene:
+    """The strip as a box of other elements; in 3D of one metre, and two cells, across."""
+    text = BOX.replace("quadrilateral", cell) + f"degree = {degree}\n"
+    if cell == "hexahedron":
+        text = text.replace("1.0], cells = [4, 2]", "1.0, 1.0], cells = [2, 1, 2]")
+        text = text.replace("-9.81]", "-9.81, 0.0]")
+    return parse(text, Path("box.toml"))
+
+
+@pytest.mark.parametrize(
+    ("cell", "degree"), [("quadrilateral", 1), ("quadrilateral", 2), ("hexahedron", 1)]
+)
+def test_final_state_of_other_elements(cell, degree):
+    """Positions of vertices are dofs; S is the mean over Gauss's points, found by other means."""
+    given = elements(cell, degree)
+    simulation = Simulation(given, build_body(given, COMM), "symmetric")
+    list(simulation.march(given.steps))
+    state, body, u = final_state(simulation), simulation.body, simulation.fields[0]
+    d, V = len(u), u.function_space
+    owned = V.dofmap.index_map.size_local
+    X = np.concatenate(COMM.allgather(V.tabulate_dof_coordinates()[:owned, :d]))
+    x = X + np.concatenate(COMM.allgather(u.x.array.reshape(-1, d)[:owned]))
+    nodes, weights = np.polynomial.legendre.leggauss(degree + 1)
+    points = np.stack(np.meshgrid(*[(1 + nodes) / 2] * d, indexing="ij"), axis=-1).reshape(-1, d)
+    weight = np.prod(np.meshgrid(*[weights / 2] * d, indexing="ij"), axis=0).ravel()
+    cells = np.arange(len(body.file_cells), dtype=np.int32)
+    F = fem.Expression(deformation_gradient(u), points).eval(body.mesh, cells)
+    _, sigma, Vt = np.linalg.svd(F)
+    S = np.einsum("q,kqji,kqj,kqjl->kil", weight, Vt, sigma, Vt)
+    S = body.gather(S)
+    if COMM.rank != 0:
+        return
+    for rest, now in zip(state["X"], state["x"], strict=True):
+        (dof,) = np.flatnonzero(np.abs(X - rest).max(axis=1) < 1e-9)
+        np.testing.assert_allclose(now, x[dof], rtol=0, atol=1e-12)
+    assert np.abs(state["x"] - state["X"]).max() > 0.05
+    np.testing.assert_allclose(state["S"], S, rtol=0, atol=1e-9)
+
+
+# DOLFINx counts quadrilaterals up in y first, so that they are wound the other way.
+@pytest.mark.parametrize(("cell", "volume"), [("quadrilateral", -0.25), ("hexahedron", 0.5)])
+def test_surfaces_list_vertices_in_the_order_of_vtk(cell, volume, tmp_path):
+    """Around the faces of a cell, all of the same sense."""
+    given = elements(cell, 1)
+    state = final_state(Simulation(given, build_body(given, COMM), "displacement"))
+    if state is None:
+        return
+    write_surface(tmp_path / "body.vtu", state)
+    (block,) = meshio.read(tmp_path / "body.vtu").cells
+    corners = state["X"][block.data]
+    to = corners - corners[:, :1]
+    edges = to[:, [1, 3]] if cell == "quadrilateral" else to[:, [1, 3, 4]]
+    np.testing.assert_allclose(np.linalg.det(edges), volume, rtol=1e-12)
+    np.testing.assert_allclose(to[:, 2], to[:, 1] + to[:, 3], rtol=0, atol=1e-12)
+    if cell == "hexahedron":
+        np.testing.assert_allclose(to[:, 5:7], to[:, 1:3] + to[:, 4:5], rtol=0, atol=1e-12)
+
+
+def test_run_with_quadratic_quadrilaterals(tmp_path):
+    """Everything that a run writes; both formulations with one rule have the same positions."""
+    path, out = tmp_path / "box.toml", tmp_path / "out"
+    if COMM.rank == 0:
+        path.write_text(BOX + "degree = 2\n")
+    COMM.barrier()
+    assert main(["run", str(path), "--out", str(out)]) == 0
+    with np.load(out / "final.npz") as a, np.load(out / "displacement" / "final.npz") as b:
+        assert a["cells"].shape == (8, 4)
+        for name, scale in (("x", 1.0), ("S", 1.0), ("Lam", 1e5), ("von_mises", 1e5)):
+            np.testing.assert_allclose(a[name], b[name], rtol=0, atol=1e-8 * scale)
+        drawn, largest = last_fields(out)
+        strain = np.linalg.norm(a["S"] - np.eye(2), axis=(1, 2))
+        np.testing.assert_allclose(drawn, strain.max(), rtol=1e-10)
+        moved = np.linalg.norm(a["x"] - a["X"], axis=1).max()
+        np.testing.assert_allclose(largest, moved, rtol=1e-10)
+    assert (out / "picture.png").exists() or (out / "picture.vtu").exists()
+
+
+def test_materials_by_tag_are_those_of_their_cells(tmp_path):
+    """Two tags of one material change nothing; a stiffer tip stretches less."""
+    if COMM.rank == 0:
+        tags = {"medit:ref": [np.where(POINTS[TRIANGLES, 0].mean(axis=1) < 1.5, 4, 7)]}
+        meshio.Mesh(POINTS, [("triangle", TRIANGLES)], cell_data=tags).write(
+            tmp_path / "strip.mesh"
+        )
+    COMM.barrier()
+    material = STRIP[STRIP.index("[[material]]") : STRIP.index("[[boundary]]")]
+
+    def final(*materials: str) -> np.ndarray:
+        text = STRIP.replace(material, "".join(materials))
+        given = parse(text, tmp_path / "strip.toml")
+        simulation = Simulation(given, build_body(given, COMM), "symmetric")
+        list(simulation.march(given.steps))
+        return COMM.bcast((final_state(simulation) or {}).get("x"))
+
+    one = final(material)
+    two = final(material + "tag = 4\n", material + "tag = 7\n")
+    np.testing.assert_allclose(two, one, rtol=0, atol=1e-12)
+    root, tip = material + "tag = 4\n", material.replace("1e5", "1e7") + "tag = 7\n"
+    stiff_tip = final(tip, root)
+    assert np.abs(stiff_tip - POINTS).max() > 0.05
+    stretches = [abs(np.linalg.norm(x[6] - x[7]) - 1) for x in (one, stiff_tip)]
+    assert stretches[1] < 0.1 * stretches[0]
+    # two strain energies in one body, that agree for small strains and not beyond
+    hencky = material.replace("stable-neo-hookean", "hencky")
+    smith = material.replace("stable-neo-hookean", "smith-neo-hookean")
+    whole, half = final(smith), final(smith + "tag = 4\n", hencky + "tag = 7\n")
+    assert 1e-6 < np.abs(half - whole).max() < 0.1 * np.abs(whole - POINTS).max()
+
+
+def test_run_writes_what_it_says(strip, tmp_path, capfd):
+    out = tmp_path / "out"
+    assert main(["run", str(strip), "--out", str(out)]) == 0
+    said = COMM.bcast(capfd.readouterr().out)
+    for folder, fields in ((out, ["u", "S", "Y"]), (out / "displacement", ["u"])):
+        history, newton = table(folder / "history.csv"), table(folder / "newton.csv")
+        np.testing.assert_array_equal(history["step"], [1, 2, 3])
+        np.testing.assert_allclose(history["time"], [0.05, 0.1, 0.15])
+        # a row for the starting point and one for each iteration
+        counts = [int((newton["step"] == k).sum()) for k in (1, 2, 3)]
+        np.testing.assert_array_equal(counts, history["newton_iterations"] + 1)
+        for name in fields:
+            last = newton[f"residual_{name}"][np.cumsum(counts) - 1]
+            np.testing.assert_array_equal(last, history[f"residual_{name}"])
+        assert (history["residual_u"] < 1e-6 * newton["residual_u"][newton["iteration"] == 0]).all()
+        # the rest state and three steps
+        assert (folder / "fields" / "fields.pvd").read_text().count("<DataSet") == 4
+    with np.load(out / "final.npz") as a, np.load(out / "displacement" / "final.npz") as b:
+        assert {"X", "x", "v", "S", "Lam"} <= set(a)
+        np.testing.assert_allclose(a["x"], b["x"], rtol=0, atol=1e-10)
+        strain = np.linalg.norm(a["S"] - np.eye(2), axis=(1, 2))
+        drawn, largest = last_fields(out)
+        np.testing.assert_allclose(drawn, strain.max(), rtol=1e-10)
+        moved = np.linalg.norm(a["x"] - a["X"], axis=1).max()
+        np.testing.assert_allclose(largest, moved, rtol=1e-10)
+        difference = np.abs(a["x"] - b["x"]).max()
+    assert (out / "picture.png").exists() or (out / "picture.vtu").exists()
+    # the table on the screen
+    history = table(out / "history.csv")
+    for k, count in enumerate(history["newton_iterations"], start=1):
+        assert re.search(rf"^ +{k} +{int(count)} +\d", said, flags=re.M)
+    assert f"largest difference of a final coordinate: {difference:.1e} m" in said
+
+
+def test_energies_balance(strip):
+    """Backward Euler loses energy and never gains it; at first all of it is zero."""
+    given = scene(strip)
+    simulation = Simulation(given, build_body(given, COMM), "symmetric")
+    totals = [sum(simulation.energies())]
+    assert totals == [pytest.approx(0.0, abs=1e-12)]
+    for _ in simulation.march(8):
+        energies = simulation.energies()
+        assert energies.kinetic > 0
+        assert energies.elastic > 0
+        totals.append(energies.kinetic + energies.elastic + energies.potential)
+    assert (np.diff(totals) < 0).all()
+
+
+def test_a_rerun_replaces_its_own_files_and_no_others(strip, tmp_path, undrawn):
+    out = tmp_path / "out"
+    if COMM.rank == 0:
+        (out / "fields").mkdir(parents=True)
+        for name in ("notes.txt", "final.npz", "fields/mine.vtu", "fields/fields_p7_000000.vtu"):
+            (out / name).write_text("old")
+    COMM.barrier()
+    assert main(["run", str(strip), "--out", str(out), "--steps", "1"]) == 0
+    assert (out / "notes.txt").read_text() == "old"
+    assert (out / "fields" / "mine.vtu").read_text() == "old"
+    assert not (out / "fields" / "fields_p7_000000.vtu").exists()
+    with np.load(out / "final.npz") as final:
+        assert final["t"] == pytest.approx(0.05)
+    assert len(table(out / "history.csv")["step"]) == 1
+
+
+def test_bad_input_loses_no_former_results(strip, tmp_path, undrawn):
+    out = tmp_path / "out"
+    assert main(["run", str(strip), "--out", str(out), "--steps", "1"]) == 0
+    before = {p: p.read_bytes() for p in sorted(out.rglob("*")) if p.is_file()}
+    assert before
+    COMM.barrier()
+    if COMM.rank == 0:
+        strip.write_text(STRIP.replace('"min"', "[7.0, 8.0]"))
+    COMM.barrier()
+    assert main(["run", str(strip), "--out", str(out)]) == 2
+    assert {p: p.read_bytes() for p in sorted(out.rglob("*")) if p.is_file()} == before
+
+
+def test_a_failed_step_keeps_those_before_it(strip, tmp_path, capfd, monkeypatch, undrawn):
+    """Gravity grows ten-thousandfold after two steps, and there are too few iterations for that."""
+    march = Simulation.march
+
+    def overload(self, steps):
+        for k, result in enumerate(march(self, steps), start=1):
+            yield result
+            if k == 2:
+                (gravity,) = self.model.loads
+                gravity.g = [1e4 * g for g in gravity.g]
+                self.problem.problem.solver.setTolerances(max_it=2)
+
+    monkeypatch.setattr(Simulation, "march", overload)
+    out = tmp_path / "out"
+    if COMM.rank == 0:
+        strip.write_text(STRIP.replace('baseline = "displacement"', ""))
+    COMM.barrier()
+    assert main(["run", str(strip), "--out", str(out)]) == 1
+    err = COMM.bcast(capfd.readouterr().err)
+    assert err.startswith(
+        "mixed-fem: symmetric: step 3 of 3 failed, the state at t = 0.1 s is kept in"
+    )
+    assert "DIVERGED" in err
+    np.testing.assert_array_equal(table(out / "history.csv")["step"], [1, 2])
+    newton = table(out / "newton.csv")
+    assert set(newton["step"]) == {1, 2, 3}  # the history of the failed step too
+    with np.load(out / "final.npz") as final:
+        assert final["t"] == pytest.approx(0.1)
+        assert np.isfinite(final["x"]).all()
+        assert np.isfinite(final["Lam"]).all()
+    assert (out / "fields" / "fields.pvd").read_text().count("<DataSet") == 3
+
+
+# Pictures
+
+
+@pytest.fixture(scope="module")
+def bent() -> dict[str, np.ndarray]:
+    """A column of six tetrahedra, sheared, in the arrays of a final state."""
+    X = np.array([[x, y, z] for z in (0, 1.0) for y in (0, 1.0) for x in (0, 1.0)])
+    cells = np.array([[0, a, b, 7] for a, b in ((1, 3), (1, 5), (2, 3), (2, 6), (4, 5), (4, 6))])
+    x = X + np.outer(X[:, 2], [0.8, 0, -0.1])
+    S = np.eye(3) + 0.1 * np.arange(6)[:, None, None] * np.ones((3, 3))
+    return {"X": X, "x": x, "S": S, "cells": cells}
+
+
+@pytest.mark.serial
+def test_picture(tmp_path, bent):
+    """A wide picture: white ground, ink, and the colours of the strains."""
+    image = pytest.importorskip("matplotlib.image")
+    np.savez(tmp_path / "final.npz", **bent)
+    reason = picture.draw(tmp_path / "final.npz", tmp_path / "a.png", up=(0, 0, 1), caption="Text")
+    if reason is not None:
+        pytest.skip(f"no rendering on this machine: {reason}")
+    pixels = image.imread(tmp_path / "a.png")[..., :3]
+    assert pixels.shape == (900, 1600, 3)
+    white = (pixels > 0.99).all(axis=2)
+    assert white[[0, -1]].all()
+    assert white[:, [0, -1]].all()
+    assert 0.2 < white.mean() < 0.95
+    assert len(np.unique((pixels[~white] * 32).astype(int), axis=0)) > 50
+    # turned upside down it is another picture of the same size
+    picture.draw(tmp_path / "final.npz", tmp_path / "b.png", up=(0, 0, -1), caption="Text")
+    assert not np.array_equal(image.imread(tmp_path / "b.png")[..., :3], pixels)
+
+
+@pytest.mark.parametrize(
+    ("program", "reason"),
+    [
+        ("raise ModuleNotFoundError(\"No module named 'pyvista'\")", "pyvista is not installed"),
+        ("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)", "died of signal 11"),
+        ("raise RuntimeError('no display')", "RuntimeError: no display"),
+    ],
+)
+def test_where_nothing_can_be_drawn_there_are_files(
+    program, reason, strip, tmp_path, capfd, monkeypatch
+):
+    """The run goes on, says why, and leaves the body in a VTK file."""
+    (tmp_path / "stub").mkdir(exist_ok=True)
+    if COMM.rank == 0:
+        (tmp_path / "stub" / "pyvista.py").write_text(program)
+    COMM.barrier()
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path / "stub"), prepend=os.pathsep)
+    out = tmp_path / "out"
+    assert main(["run", str(strip), "--out", str(out), "--steps", "1"]) == 0
+    said = COMM.bcast(capfd.readouterr().out)
+    assert re.search(rf"no picture \(.*{re.escape(reason)}.*\); the body to draw is in", said)
+    assert not (out / "picture.png").exists()
+    body = meshio.read(out / "picture.vtu")
+    with np.load(out / "final.npz") as final:
+        np.testing.assert_array_equal(body.points[:, :2], final["x"])
+        strain = np.linalg.norm(final["S"] - np.eye(2), axis=(1, 2))
+    np.testing.assert_array_equal(body.cell_data["|S - I|"][0], strain)
+
+
+# The screen
+
+
+class Terminal(io.StringIO):
+    """A stream that says it is a terminal."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.mark.serial
+def test_plain_lines_where_there_is_no_terminal():
+    stream = io.StringIO()
+    screen = Screen(COMM, stream)
+    for k in range(11):
+        screen.progress("march", k, 10, "fine" if k else "")
+    assert stream.getvalue().splitlines() == [f"march {k:>2}/10  fine" for k in range(1, 11)]
+
+
+@pytest.mark.serial
+def test_a_bar_on_a_terminal():
+    """The bar is redrawn in place, gives way to lines, and ends with its own."""
+    stream = Terminal()
+    screen = Screen(COMM, stream)
+    screen.progress("march", 0, 2)
+    screen.line("a remark")
+    screen.progress("march", 1, 2, "halfway there")
+    screen.progress("march", 2, 2)
+    shown = [line.split("\r")[-1].rstrip() for line in stream.getvalue().split("\n")]
+    assert shown == ["a remark", f"march [{'=' * 30}] 2/2", ""]
+
+
+@pytest.mark.mpi
+def test_other_ranks_are_silent():
+    stream = io.StringIO()
+    screen = Screen(COMM, stream)
+    screen.line("once")
+    screen.progress("march", 1, 1)
+    assert (stream.getvalue() == "") == (COMM.rank != 0)
