@@ -36,7 +36,6 @@ class FieldSplitSolver:
             a preconditioner alone.
         seconds: Wall time since the last `start` by phase: "condensation".
         notes: Empty.
-        target: Not looked at: PETSc's tolerances follow the residual.
         unstable: Empty.
     """
 
@@ -70,8 +69,9 @@ class FieldSplitSolver:
             self.options = {**INEXACT, **preconditioner.options}
         set_options(self.options)
         self.notes: dict[int, str] = {}
-        self.target = 0.0
         self.unstable = ""
+        self._target = 0.0
+        self._atol: float | None = None  # that of the options
         self._P: PETSc.Mat | None = None
         # Of the condensed matrix.
         self._innermost = ksp
@@ -81,6 +81,19 @@ class FieldSplitSolver:
         self._cost = self._fresh_cost = 0
         self._kept = False
         self.start()
+
+    @property
+    def target(self) -> float:
+        """The residual norm at which the Newton iteration ends, which PETSc's tolerances miss."""
+        return self._target
+
+    @target.setter
+    def target(self, norm: float) -> None:
+        self._target, ksp = norm, self._ksp
+        if self._atol is None:
+            self._atol = ksp.getTolerances()[1]
+        if ksp.getNormType() == PETSc.KSP.NormType.UNPRECONDITIONED:
+            ksp.setTolerances(atol=max(self._atol, 0.1 * norm))
 
     def start(self) -> None:
         """Begin a new nonlinear solve."""

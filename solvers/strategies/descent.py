@@ -44,7 +44,7 @@ class Descent(Strategy):
         """Iterate. Collective."""
         self.newton.meet_conditions(self.system.x)
         self._energy = self.newton.merit(self.system.x)
-        self._noise = self._rounding()
+        self._noise = self._rounding(self.system.x)
         self.begin()
         return self.newton.iterate()
 
@@ -67,19 +67,31 @@ class Descent(Strategy):
         slope = self._slope(y)
         if slope == 0.0:
             return False
+        while slope < 0.0:
+            if t := self._search(x, y, slope):
+                return t < 1.0
+            # A body that turns has rounding errors that it does not have at rest.
+            noise = self._rounding(x)
+            if noise <= self._noise:
+                break
+            self._noise = noise
+        newton.halted = Reason.DIVERGED_LINE_SEARCH
+        y.set(0.0)
+        return True
+
+    def _search(self, x: PETSc.Vec, y: PETSc.Vec, slope: float) -> float:
+        """Shorten a step; return by how much, 0 if no length will do."""
         energy, t = self._energy, 1.0
-        while slope < 0.0 and t > SHORTEST:
+        while t > SHORTEST:
             self._trial.waxpy(-t, y, x)
-            change = newton.merit(self._trial) - energy
+            change = self.newton.merit(self._trial) - energy
             if change <= ARMIJO * t * slope or self._flat(change, y, slope):
                 self._energy = energy + change
                 y.scale(t)
                 self.accepted(x, y, t * slope, change)
-                return t < 1.0
+                return t
             t *= self.shrink
-        newton.halted = Reason.DIVERGED_LINE_SEARCH
-        y.set(0.0)
-        return True
+        return 0.0
 
     def _slope(self, y: PETSc.Vec) -> float:
         """The energy's along a step, which becomes that of a stand-in if it goes up."""
@@ -100,15 +112,15 @@ class Descent(Strategy):
     def _is_rounding(self, change: float) -> bool:
         return abs(change) <= self._noise + ROUNDING * abs(self._energy)
 
-    def _rounding(self) -> float:
-        """What rounding of positions does to the energy [J]. Collective."""
+    def _rounding(self, x: PETSc.Vec) -> float:
+        """What rounding of positions does to the energy [J], at scaled unknowns. Collective."""
         newton = self.newton
-        x = newton.system.x
+        energy = newton.merit(x)
         x.copy(self._trial)
         size = newton.system.unknowns.round_off(x) / max(np.sqrt(x.getSize()), 1.0)
         first, last = x.getOwnershipRange()
         self._trial.array_w[:] += size * (-1.0) ** np.arange(first, last)
-        change = newton.merit(self._trial) - self._energy
+        change = newton.merit(self._trial) - energy
         return 100 * abs(change) if np.isfinite(change) else 0.0
 
 

@@ -62,7 +62,9 @@ class Watchdog(ResidualSearch):
         if not np.isfinite(phi):
             newton.blame("no values near by of the cell-local fields make the energy stationary")
             return False
-        while not newton.exhausted:
+        done = -1
+        while not newton.exhausted and newton.iterations > done:
+            done = newton.iterations
             self._phi = self._begin_at(best)
             if newton.iterate(most=DOWN):
                 return True
