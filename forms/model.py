@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -19,6 +20,7 @@ from forms.damping import Rayleigh
 from forms.fields import point_field
 from forms.formulations import FORMULATIONS, Fields, Formulation
 from forms.history import History
+from forms.inversion import InvertedCells
 from forms.kinematics import deformation_gradient
 from forms.loads import Load
 from forms.materials import Material, StrainEnergy
@@ -27,6 +29,8 @@ from forms.points import measure
 from forms.rotation import right_stretch
 from forms.stress import first_piola_kirchhoff_stress
 from forms.time import Scheme
+
+logger = logging.getLogger("mixed_fem")
 
 
 class Model:
@@ -106,6 +110,8 @@ class Model:
                 body.mesh, np.eye(d), degree=degree, symmetric=True, name="S_old"
             )
             self.histories.append(History(self._S_old, Model.stretch))
+        self._inverted = None if self.form.sees_inversion else InvertedCells(self.u)
+        self._known_inverted = 0
         self._held = [motion.hold(body, self.u.function_space) for motion in motions]
         self.bcs: list[fem.DirichletBC] = [bc for held in self._held for bc in held.bcs]
 
@@ -147,11 +153,26 @@ class Model:
             load.set_time(scheme.point_time)
 
     def accept(self, scheme: Scheme) -> None:
-        """End a step: update the history variables, then advance the scheme. Collective."""
+        """End a step: update the history variables, then advance the scheme. Collective.
+
+        Warns of more cells turned inside out than before, where the formulation does not see them.
+        """
         values = [history.after_step(self, scheme) for history in self.histories]
         for history, new in zip(self.histories, values, strict=True):
             history.field.x.array[:] = new
         scheme.advance()
+        if self._inverted is not None:
+            self._warn_of_inversion(self._inverted.count())
+
+    def _warn_of_inversion(self, count: int) -> None:
+        if count > self._known_inverted and self.body.mesh.comm.rank == 0:
+            logger.warning(
+                "%s: %d of the cells turned inside out (det F < 0), which this formulation does "
+                "not see; symmetric does",
+                self.form.name,
+                count,
+            )
+        self._known_inverted = count
 
     def stretch(self, scheme: Scheme) -> Expr:
         """Return the right stretch at the end of a step, shape (d, d).

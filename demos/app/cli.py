@@ -26,7 +26,7 @@ from demos.app.tables import SceneError
 from demos.by_hand import ERRATA, compare
 from forms import FORMULATIONS, LOADS, MATERIALS, MOTIONS, SCHEMES
 from meshes import GEOMETRIES
-from solvers import PRECONDITIONERS, SOLVERS
+from solvers import PRECONDITIONERS, SOLVERS, STRATEGIES
 
 COMM = MPI.COMM_WORLD
 
@@ -79,6 +79,9 @@ def _list(_: argparse.Namespace) -> int:
         "loads": keys.described(LOADS),
         "schemes": keys.described(SCHEMES),
         "solvers": dict(SOLVERS),
+        "globalisations": {
+            name: (s.__doc__ or "").splitlines()[0] for name, s in STRATEGIES.items()
+        },
         "preconditioners": {name: p.description for name, p in PRECONDITIONERS.items()},
         "geometries": {name: g.description for name, g in GEOMETRIES.items()},
         "scenes": {name: load(COMM, name).description for name in built_in()},

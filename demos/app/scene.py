@@ -29,7 +29,7 @@ from forms import (
     Rayleigh,
 )
 from meshes import CELLS, GEOMETRIES
-from solvers import SOLVERS, StepControl
+from solvers import SOLVERS, STRATEGIES, StepControl
 
 BUILT_IN = Path(__file__).parents[1] / "scenes"
 
@@ -115,6 +115,8 @@ class Scene:
         formulation: Which Lagrangian.
         degree: Of the displacement.
         solver: Which solver of the Newton system.
+        globalisation: What keeps Newton's method from diverging; None for the solver's choice. Not
+            for the baseline.
         baseline: A formulation to run after, for comparison.
     """
 
@@ -136,6 +138,7 @@ class Scene:
     formulation: str
     degree: int
     solver: str
+    globalisation: str | None
     baseline: str | None
 
     @property
@@ -233,6 +236,7 @@ def parse(
     formulation = solve.choice("formulation", FORMULATIONS, "symmetric")
     degree = solve.count("degree", 1)
     solver = solve.choice("solver", SOLVERS, "condensed")
+    globalisation = solve.choice("globalisation", STRATEGIES, "") or None
     baseline = solve.choice("baseline", FORMULATIONS, "") or None
     solve.close()
     root.close()
@@ -255,6 +259,7 @@ def parse(
         formulation=formulation,
         degree=degree,
         solver=solver,
+        globalisation=globalisation,
         baseline=baseline,
     )
 

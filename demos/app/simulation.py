@@ -116,7 +116,7 @@ class Simulation:
         Args:
             scene: What to run.
             body: Its body, from `build_body`.
-            formulation: Name of the formulation; the one of the scene is not looked at.
+            formulation: Name of the formulation: that of the scene, or its baseline.
 
         Raises:
             SceneError: The formulation does not go with the cells, the degree, the material, the
@@ -155,6 +155,7 @@ class Simulation:
             message = f'[solve] formulation = "{formulation}": {e}'
             raise SceneError(f"{scene.source}: {message}") from e
         self.fields = self.model.fields
+        globalisation = scene.globalisation if formulation == scene.formulation else None
         try:
             self.problem = MixedProblem(
                 energy,
@@ -162,6 +163,7 @@ class Simulation:
                 self.model.bcs,
                 work=self.model.virtual_work(self.scheme),
                 solver=scene.solver,
+                globalisation=globalisation,
             )
         except ValueError as e:
             raise SceneError(f'{scene.source}: [solve] solver = "{scene.solver}": {e}') from e

@@ -29,12 +29,14 @@ class Formulation(ABC):
             method converges linearly.
         equivalent: Whether its positions are those of `displacement` with the same rule of
             integration.
+        sees_inversion: Whether det F < 0 costs what Ψ says. If not, `Model.accept` warns of it.
     """
 
     name: ClassVar[str]
     description: ClassVar[str] = ""
     exact: ClassVar[bool] = True
     equivalent: ClassVar[bool] = True
+    sees_inversion: ClassVar[bool] = True
 
     @abstractmethod
     def fields(self, msh: mesh.Mesh, degree: int = 1) -> Fields:

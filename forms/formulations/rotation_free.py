@@ -20,6 +20,7 @@ class HuWashizu(Formulation):
     description = (
         "Ψ(S) - ½ Σ : (S² - FᵀF): no rotation at all; Σ is the second Piola-Kirchhoff stress"
     )
+    sees_inversion = False
 
     def fields(self, msh: mesh.Mesh, degree: int = 1) -> Fields:
         """Return u, S, Σ at rest."""
@@ -34,7 +35,7 @@ class HuWashizu(Formulation):
         Piola-Kirchhoff stress Σ, with P = F Σ and ∂Ψ/∂S = sym(S Σ). Polynomial in the kinematics,
         it compiles fast, needs no per-cell data and is exact to every order. It pays for small
         steps, and as a route that shares nothing with the polar decomposition. The constraint is
-        quadratic in F, which costs Newton iterations in large steps. det F < 0 goes unnoticed.
+        quadratic in F, which costs Newton iterations in large steps. det F < 0 costs nothing.
 
         H. Hu, On some variational principles in the theory of elasticity and plasticity, Scientia
         Sinica 4 (1955); K. Washizu, MIT report (1955).
@@ -62,6 +63,7 @@ class LogStrain(Formulation):
 
     name = "log-strain"
     description = "Ψ(exp H) - T : (H - ½ log FᵀF): S = exp H is positive definite whatever H"
+    sees_inversion = False
 
     def fields(self, msh: mesh.Mesh, degree: int = 1) -> Fields:
         """Return u, H, T at rest."""
@@ -77,7 +79,7 @@ class LogStrain(Formulation):
         negative power in it always has a value: no iterate falls out of its domain, which costs the
         other mixed forms their full steps. tr H = ln J is linear. Those are the materials for which
         it pays. T is the stress conjugate to H, σ rotated back times J. As in `hu_washizu` there is
-        no rotation, and det F < 0 goes unnoticed; functions of tensors cost eigenvalues cell by
+        no rotation, and det F < 0 costs nothing; functions of tensors cost eigenvalues cell by
         cell (`forms.spectral`).
 
         Args:

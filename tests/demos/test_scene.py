@@ -156,6 +156,11 @@ WRONG = [
     ('"symmetric"', '"mixed"', '[solve] formulation = "mixed": unknown; available: symmetric'),
     ('"backward-euler"', '"rk4"', '[time] scheme = "rk4": unknown; available: backward-euler'),
     ('"fixed"', '"free"', '[[boundary]] motion = "free": unknown'),
+    (
+        '"direct"',
+        '"direct"\nglobalisation = "watch-dog"',
+        '[solve] globalisation = "watch-dog": unknown (did you mean watchdog?)',
+    ),
     ('"direct"', '"direkt"', '[solve] solver = "direkt": unknown (did you mean direct?)'),
     (
         "[[boundary]]",

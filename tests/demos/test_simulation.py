@@ -85,6 +85,19 @@ def test_solvers_are_a_switch(solver):
     assert largest(other - condensed) < 1e-9 * largest(condensed)
 
 
+def test_globalisations_are_a_switch():
+    """The displacement's own descents arrive where the mixed method does, and are not for it."""
+    key = '{0}"\nglobalisation = "project-on-demand'
+    mixed, alone = (
+        simulate(PLANE, formulation=name).model.u.x.array
+        for name in ("symmetric", key.format("displacement"))
+    )
+    assert largest(alone - mixed) < 1e-7 * largest(mixed)
+    message = "globalisation 'project-on-demand' needs the displacement alone"
+    with pytest.raises(SceneError, match=message):
+        simulate(PLANE, formulation=key.format("symmetric"))
+
+
 def test_a_formulation_that_does_not_go_with_a_solver():
     """One line names the setting and the reason."""
     message = r'bar.toml: \[solve\] solver = "fieldsplit": the field p is not local to cells'

@@ -148,3 +148,21 @@ def test_stress_balances_the_pull():
         found.append(model.u.x.array.copy())
     assert pull > 0.5
     assert largest(found[0] - found[1]) < 1e-9
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("formulation", ["hu-washizu", "log-strain", "symmetric"])
+def test_cells_turned_inside_out_are_told_of(formulation, degree, caplog):
+    """Once as long as they do not become more, and only where the energy does not see them."""
+    body = box(COMM, (4.0, 1.0), (8, 2))
+    model = Model(body, formulation, StableNeoHookean(1e6, 0.45), rho=RHO, degree=degree)
+    scheme = BackwardEuler(model.u, H)
+    model.accept(scheme)
+    model.u.interpolate(lambda X: np.stack([-2 * X[0] * (X[0] > 2.0), 0 * X[0]]))
+    for _ in range(2):
+        model.accept(scheme)
+    blind = formulation != "symmetric"
+    messages = [record.getMessage() for record in caplog.records]
+    assert len(messages) == (blind and COMM.rank == 0)
+    if messages:
+        assert messages[0].startswith(f"{formulation}: 16 of the cells turned inside out")
