@@ -6,8 +6,7 @@ import logging
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from petsc4py import PETSc
 
@@ -17,6 +16,7 @@ from solvers import options as defaults
 from solvers.layout import is_local
 from solvers.lifetime import weakly
 from solvers.linear import LINEAR_REASONS, LinearSolver, names_of
+from solvers.result import History
 from solvers.scaling import equilibrate
 from solvers.systems import System
 
@@ -28,18 +28,6 @@ logger = logging.getLogger("mixed_fem")
 Reason = PETSc.SNES.ConvergedReason
 
 
-@dataclass
-class History:
-    """What happened in a solve, iteration by iteration; see `SolveResult`."""
-
-    norms: list[dict[str, float]] = field(default_factory=list)
-    residuals: list[float] = field(default_factory=list)
-    krylov: list[int] = field(default_factory=list)
-    inner: list[int] = field(default_factory=list)
-    notes: dict[int, str] = field(default_factory=dict)
-    timings: dict[str, float] = field(default_factory=lambda: {"residual": 0.0, "jacobian": 0.0})
-
-
 class Newton:
     """Newton's method, from the fields as they stand.
 
@@ -49,6 +37,7 @@ class Newton:
         history: Of the present solve.
         reason: PETSc's reason for the end of the last pass.
         failure: What the linear solver says where that is to blame.
+        belongings: What is to be destroyed with the problem.
     """
 
     def __init__(self, system: System, linear: LinearSolver) -> None:
@@ -61,6 +50,8 @@ class Newton:
         self.system, self.linear, self.snes = system, linear, system.solver
         self.history = History()
         self.reason, self.failure = 0, ""
+        self.belongings: list[Any] = [system]
+        self._right: PETSc.Vec | None = None
         self._scaled = False
         self._before = [np.empty_like(f.x.array) for f in system.fields]
         self._begin_pass(np.inf, forced=False)
@@ -130,6 +121,12 @@ class Newton:
         """Say why the solve failed, before what is known already."""
         self.failure = f"{what}; {self.failure}" if self.failure else what
 
+    def vector(self) -> PETSc.Vec:
+        """Return a work vector like the unknowns, destroyed with the problem. Collective."""
+        vector = self.system.x.duplicate()
+        self.belongings.append(vector)
+        return vector
+
     def note(self, what: str, *, last: bool = False) -> None:
         """Put a remark beside the next iteration, or the last one."""
         notes, k = self.history.notes, len(self.history.residuals) - last
@@ -177,20 +174,23 @@ class Newton:
                 return True
         return False
 
-    def descent(self, x: PETSc.Vec, projection: int) -> tuple[PETSc.Vec, PETSc.Vec, float]:
-        """A Newton step for that energy, from x - step, towards what is subtracted. Collective.
+    def descent(self, x: PETSc.Vec, projection: int, base: PETSc.Vec, step: PETSc.Vec) -> float:
+        """A Newton step for that energy, to base - step. Collective.
 
         Args:
             x: Scaled unknowns, with an energy that is finite.
             projection: Of the tangent, see `System`.
+            base: Becomes x with the cell-local fields where the energy is stationary in them.
+            step: Becomes the step.
 
         Returns:
-            x with the cell-local fields where the energy is stationary in them; the step; and the
-            slope of the energy along it, in the unit of the scaled system.
+            The slope of the energy towards what is subtracted, in the unit of the scaled system.
         """
         system, ksp = self.system, self.snes.getKSP()
         self.merit(x)
-        base, step, right = x.duplicate(), x.duplicate(), x.duplicate()
+        if self._right is None:
+            self._right = self.vector()
+        right = self._right
         system.unknowns.read(base)
         system.projection, before = projection, system.projection
         with self.evaluation("residual", base):
@@ -202,8 +202,7 @@ class Newton:
         ksp.setOperators(*self.snes.getJacobian()[:2])
         ksp.solve(right, step)
         slope = right.dot(step) if ksp.getConvergedReason() > 0 else -np.inf
-        right.destroy()
-        return base, step, slope if np.isfinite(slope) else -np.inf
+        return float(slope) if np.isfinite(slope) else -np.inf
 
     def restore(self) -> None:
         """Put the values from before the solve into the fields."""

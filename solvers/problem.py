@@ -176,7 +176,7 @@ class MixedProblem:
                 'the line search "bt" multiplies by the block Jacobian, which the engine does not '
                 'assemble; choose "l2" or "cp", or engine=False'
             )
-        destroy_with(self, self.system.unknowns.layout.comm, [self.system])
+        destroy_with(self, self.system.unknowns.layout.comm, self._newton.belongings)
 
     @property
     def problem(self) -> Any:

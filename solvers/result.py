@@ -5,6 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 
+@dataclass
+class History:
+    """What happened in a solve, iteration by iteration; see `SolveResult`."""
+
+    norms: list[dict[str, float]] = field(default_factory=list)
+    residuals: list[float] = field(default_factory=list)
+    krylov: list[int] = field(default_factory=list)
+    inner: list[int] = field(default_factory=list)
+    notes: dict[int, str] = field(default_factory=dict)
+    timings: dict[str, float] = field(default_factory=lambda: {"residual": 0.0, "jacobian": 0.0})
+
+
 @dataclass(frozen=True)
 class SolveResult:
     """A converged Newton solve.

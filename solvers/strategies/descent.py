@@ -38,7 +38,7 @@ class Descent(Strategy):
         assert isinstance(newton.system, EngineProblem)  # no other can
         self.system = newton.system
         self.system.projection = self.projection
-        self._trial, self._slopes = newton.system.x.duplicate(), newton.system.b.duplicate()
+        self._trial, self._slopes = newton.vector(), newton.vector()
 
     def solve(self) -> bool:
         """Iterate. Collective."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from petsc4py import PETSc
 
 import numpy as np
+import numpy.typing as npt
 
 from solvers.newton import Newton, Reason
 from solvers.options import (
@@ -36,10 +37,12 @@ class Watchdog(ResidualSearch):
         """Look whether there is an energy to go down on."""
         super().attach(newton)
         self._phi = np.nan  # at the unknowns, while on the way down
+        if newton.system.descends:
+            self._base, self._step, self._trial = (newton.vector() for _ in range(3))
 
     def solve(self) -> bool:
         """Iterate. Collective."""
-        self._seen: list[PETSc.Vec] = []
+        self._seen: list[npt.NDArray[np.float64]] = []
         self._phi = np.nan
         self._projection = 2
         if super().solve():
@@ -52,13 +55,15 @@ class Watchdog(ResidualSearch):
 
     def _descend(self) -> bool:
         newton, x = self.newton, self.newton.system.x
-        candidates = [x.copy(), *self._seen]
-        for candidate in candidates:
-            newton.meet_conditions(candidate)
+        states, energies = [x.array_r.copy(), *self._seen], []
         self._seen.clear()
-        energies = [newton.merit(candidate) for candidate in candidates]
+        for values in states:
+            x.array_w[:] = values
+            newton.meet_conditions(x)
+            values[:] = x.array_r
+            energies.append(newton.merit(x))
         phi = min(energies)
-        best = candidates[energies.index(phi)]
+        best = states[energies.index(phi)]
         if not np.isfinite(phi):
             newton.blame("no values near by of the cell-local fields make the energy stationary")
             return False
@@ -69,7 +74,7 @@ class Watchdog(ResidualSearch):
             if newton.iterate(most=DOWN):
                 return True
             phi, self._phi = self._phi, np.nan
-            x.copy(best)
+            best[:] = x.array_r
             if newton.halted:
                 return False
             self._begin_at(best)
@@ -77,19 +82,22 @@ class Watchdog(ResidualSearch):
             if newton.iterate(growth=DIVERGING, most=UPHILL):
                 return True
             if newton.merit(x) < phi:
-                x.copy(best)
+                best[:] = x.array_r
         return False
 
-    def _begin_at(self, x: PETSc.Vec) -> float:
+    def _begin_at(self, state: npt.NDArray[np.float64]) -> float:
         """Go there, with cell-local fields where the energy is stationary in them; return it."""
+        x = self.newton.system.x
+        x.array_w[:] = state
         phi = self.newton.merit(x)
-        self.newton.system.unknowns.read(self.newton.system.x)
+        self.newton.system.unknowns.read(x)
         return phi
 
     def before_iteration(self, snes: PETSc.SNES, iteration: int) -> None:
         """Keep the first few states of a pass."""
-        if np.isnan(self._phi) and 0 < iteration <= 3:
-            self._seen.append(self.newton.system.x.copy())
+        system = self.newton.system
+        if system.descends and np.isnan(self._phi) and 0 < iteration <= 3:
+            self._seen.append(system.x.array_r.copy())
 
     def before_step(self, x: PETSc.Vec, y: PETSc.Vec) -> bool:
         """On the way down, see that the step goes down."""
@@ -105,7 +113,8 @@ class Watchdog(ResidualSearch):
             (0, "exact", WORTHWHILE),
             (self._projection, name, SHORTEST),
         ):
-            base, step, slope = self.newton.descent(x, projection)
+            base, step = self._base, self._step
+            slope = self.newton.descent(x, projection, base, step)
             length = self._length(base, step, shortest, slope) if slope > 0.0 else 0.0
             if not length:
                 continue
@@ -132,7 +141,7 @@ class Watchdog(ResidualSearch):
         Returns:
             1, 1/2, 1/4, ...; 0 if none will do.
         """
-        trial, length = base.duplicate(), 1.0
+        trial, length = self._trial, 1.0
         while length >= shortest:
             trial.waxpy(-length, step, base)
             phi = self.newton.merit(trial)
@@ -146,7 +155,7 @@ class Watchdog(ResidualSearch):
 
     def _stretched(self, base: PETSc.Vec, step: PETSc.Vec) -> float:
         """Twice the step as long as that brings more: positive tangents are too stiff."""
-        trial, length = base.duplicate(), 1.0
+        trial, length = self._trial, 1.0
         while length < LONGEST:
             trial.waxpy(-2 * length, step, base)
             phi = self.newton.merit(trial)

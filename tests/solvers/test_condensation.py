@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import gc
-import weakref
-
 from mpi4py import MPI
 
 import numpy as np
@@ -22,7 +19,6 @@ from forms import (
 )
 from solvers import ConvergenceError, MixedProblem
 from solvers.layout import is_local
-from solvers.lifetime import destroy_dead
 from solvers.result import history_table
 from solvers.strategies.watchdog import Watchdog
 from tests.states import (
@@ -327,46 +323,3 @@ def test_a_field_that_is_not_local_is_refused():
     energy = (ufl.inner(ufl.grad(u), ufl.grad(u)) + ufl.inner(u, u) + p**2 + p * u[0]) * ufl.dx
     with pytest.raises(ValueError, match="the field p is not local to cells"):
         MixedProblem(energy, (u, p), solver="condensed", engine=False)
-
-
-def free_communicators():
-    """How many more communicators MPICH can make, on every rank."""
-    made = []
-    handler = MPI.COMM_WORLD.Get_errhandler()
-    MPI.COMM_WORLD.Set_errhandler(MPI.ERRORS_RETURN)
-    try:
-        while True:
-            made.append(MPI.COMM_WORLD.Dup())
-    except MPI.Exception:
-        pass
-    finally:
-        MPI.COMM_WORLD.Set_errhandler(handler)
-    for comm in made:
-        comm.Free()
-    return len(made)
-
-
-@pytest.mark.parametrize("formulation", ["symmetric", "displacement"])
-@pytest.mark.parametrize(
-    ("solver", "engine"),
-    [("direct", False), ("fieldsplit", False), ("condensed", False), ("condensed", True)],
-)
-def test_a_problem_is_freed(formulation, solver, engine):
-    """With its mesh and PETSc's objects, which hold communicators: there are only so many."""
-
-    def solve():
-        problem = build(2, formulation, "stable-neo-hookean", solver, engine=engine)
-        problem.solve()
-        mesh = problem.fields[0].function_space.mesh
-        return [weakref.ref(thing) for thing in (problem, problem.problem, mesh)]
-
-    alive = solve()
-    gc.collect()
-    destroy_dead(MPI.COMM_WORLD)
-    assert [reference() for reference in alive] == [None, None, None]
-    if MPI.get_vendor()[0] == "MPICH":
-        before = free_communicators()
-        solve()
-        gc.collect()
-        destroy_dead(MPI.COMM_WORLD)
-        assert free_communicators() == before
