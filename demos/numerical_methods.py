@@ -15,8 +15,6 @@
 # Numbers in brackets are the seed's.
 
 # %%
-import logging
-
 from mpi4py import MPI
 
 import numpy as np
@@ -25,7 +23,6 @@ from demos.studies.bar import bar
 from solvers import STRATEGIES
 
 comm = MPI.COMM_WORLD
-logging.getLogger("mixed_fem").setLevel(logging.ERROR)
 
 
 def march(formulation="symmetric", globalisation=None, count=3, most=100, **case):

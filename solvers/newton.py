@@ -52,6 +52,10 @@ class Newton:
         self.reason, self.failure = 0, ""
         self.belongings: list[Any] = [system]
         self._right: PETSc.Vec | None = None
+        self._trial: PETSc.Vec | None = None
+        self._last: tuple[PETSc.Vec, ...] = ()
+        self._continued = self._stepped = False
+        self._careful = False  # whether the energy has been where it has no value
         self._scaled = False
         self._before = [np.empty_like(f.x.array) for f in system.fields]
         self._begin_pass(np.inf, forced=False)
@@ -71,7 +75,8 @@ class Newton:
         """Ask a strategy before each iteration and each step."""
         self._exact = strategy.exact
         self.snes.setUpdate(weakly(strategy.before_iteration))
-        self.snes.setLineSearchPreCheck(weakly(strategy.before_step))
+        self._choose_step = weakly(strategy.before_step)
+        self.snes.setLineSearchPreCheck(weakly(self._before_step))
 
     def require_descent(self, name: str, *, alone: bool) -> None:
         """Insist on a system with an energy to go down on.
@@ -153,9 +158,15 @@ class Newton:
         followed = True
         with self.evaluation("residual", x):
             if not self.alone:
-                followed = self.system.relax() or self._relaxed_on_the_way()
+                followed = self._relaxed()
             energy = self.system.energy() if followed else np.inf
         return energy if np.isfinite(energy) else np.inf
+
+    def _relaxed(self) -> bool:
+        """Relax, if need be from values before the solve, or on the way. Collective."""
+        if self._careful:
+            self.system.hold(self._before)
+        return self.system.relax() or self._relaxed_on_the_way()
 
     def _relaxed_on_the_way(self) -> bool:
         """Relax in steps from where the solve began to the present positions. Collective."""
@@ -222,22 +233,78 @@ class Newton:
         Returns:
             Whether this has converged.
         """
-        snes, x = self.snes, self.system.x
-        self._begin_pass(growth, forced=forced)
-        limit = snes.getTolerances()[3]
-        left = limit - self._before_pass
-        snes.setTolerances(max_it=left if most is None else min(left, most))
-        snes.solve(None, x)
-        snes.setTolerances(max_it=limit)
-        self.system.unknowns.write(x)
-        self.reason = int(snes.getConvergedReason())
-        if self.reason == Reason.DIVERGED_LINEAR_SOLVE:
+        self._continued, limit = False, self.snes.getTolerances()[3]
+        most = limit if most is None else most
+        end = min(limit, max(len(self.history.residuals) - 1, 0) + most)
+        self._pass_to(end, growth, forced=forced)
+        while self.reason == Reason.DIVERGED_FUNCTION_NANORINF and self._amended():
+            self._pass_to(end, growth, forced=False)
+        if self.reason == Reason.DIVERGED_FUNCTION_NANORINF:
+            norms = self.system.unknowns.norms(self.system.b)
+            names = ", ".join(name for name, norm in norms.items() if not np.isfinite(norm))
+            self.failure = f"no finite residual of {names}" if names else ""
+        elif self.reason == Reason.DIVERGED_DTOL and not self.failure:
+            self.failure = self._growth_told()
+        elif self.reason == Reason.DIVERGED_LINEAR_SOLVE:
             self._count()  # of the iteration that did not come to its end
-            reason = snes.getKSP().getConvergedReason()
+            reason = self.snes.getKSP().getConvergedReason()
             self.failure = LINEAR_REASONS.get(reason, str(reason))
             if reason == PETSc.KSP.ConvergedReason.DIVERGED_PCSETUP_FAILED:
                 self.failure += f": {self.linear.why()}"
         return self.reason > 0
+
+    def _growth_told(self) -> str:
+        """Which field's residual has grown how much in the last pass."""
+        last = {
+            f.name: self.history.norms[-1][f.name] * scale
+            for f, scale in zip(self.system.fields, self.system.unknowns.scales, strict=True)
+        }
+        times = self._pass[-1] / self._pass[0]
+        return f"the residual has grown {times:.1e} times, most in {max(last, key=lambda n: last[n])}"
+
+    def _pass_to(self, end: int, growth: float, *, forced: bool) -> None:
+        """Iterate to some number of iterations of the solve at most."""
+        snes, x = self.snes, self.system.x
+        self._begin_pass(growth, forced=forced)
+        limit = snes.getTolerances()[3]
+        snes.setTolerances(max_it=max(end - self._before_pass, 0))
+        snes.solve(None, x)
+        snes.setTolerances(max_it=limit)
+        self.system.unknowns.write(x)
+        self.reason = int(snes.getConvergedReason())
+
+    def _amended(self) -> bool:
+        """Undo what has led the last step to where the energy has no value. Collective.
+
+        Returns:
+            Whether that is cell-local fields, which from now on are kept where it has one.
+        """
+        if self._careful or not self._stepped:
+            return False
+        x, y = self._last
+        self._careful = self._continued = self._held(x, y)
+        self.system.x.waxpy(-1.0, y, x)
+        return self._careful
+
+    def _held(self, x: PETSc.Vec, y: PETSc.Vec) -> bool:
+        """Cut the step from x to x - y in cells where it leads to no value. Collective.
+
+        Returns:
+            Whether there is such a cell; y is changed.
+        """
+        system = self.system
+        if self._trial is None:
+            self._trial = self.vector()
+        system.unknowns.write(x)
+        before = [f.x.array.copy() for f in system.fields]
+        self._trial.waxpy(-1.0, y, x)
+        system.unknowns.write(self._trial)
+        cells = system.hold(before)
+        if cells:
+            system.unknowns.read(self._trial)
+            y.waxpy(-1.0, self._trial, x)
+            self.note(f"steps of {cells} cell{'s' * (cells > 1)} cut, as the energy had no value there")
+        return cells > 0
 
     @property
     def exhausted(self) -> bool:
@@ -259,8 +326,8 @@ class Newton:
         self._scaled = False
 
     def _begin_pass(self, growth: float, *, forced: bool) -> None:
-        self._growth, self._forced = growth, forced
-        self._before_pass = max(len(self.history.residuals) - 1, 0)
+        self._growth, self._forced, self._stepped = growth, forced, False
+        self._before_pass = max(len(self.history.residuals) - 1, 0) + self._continued
         self._pass: list[float] = []
         self._steps: list[float] = []
         self._stagnates = False
@@ -278,6 +345,19 @@ class Newton:
         self._scaled = True
 
     # PETSc's callbacks
+
+    def _before_step(self, x: PETSc.Vec, y: PETSc.Vec) -> bool:
+        """Let the strategy change the step, and keep it where the energy has a value."""
+        changed = self._choose_step(x, y)
+        if self._careful:
+            changed |= self._held(x, y)
+        elif not self.alone:  # what PETSc keeps of a step that fails is not said
+            self._stepped = True
+            if not self._last:
+                self._last = self.vector(), self.vector()
+            for kept, vector in zip(self._last, (x, y), strict=True):
+                vector.copy(kept)
+        return bool(changed)
 
     def _residual(self, snes: PETSc.SNES, x: PETSc.Vec, b: PETSc.Vec) -> None:
         """The scaled residual at scaled unknowns."""
@@ -366,8 +446,9 @@ class Newton:
         return near and norm > previous / 2
 
     def _record(self, snes: PETSc.SNES, iteration: int, norm: float) -> None:
-        if iteration > 0:
+        if iteration > 0 or self._continued:
             self._count()
+            self._continued = False
         elif self.history.residuals:
             return  # the start again
         self.history.norms.append(self.system.unknowns.norms(self.system.b))

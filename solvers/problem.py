@@ -171,11 +171,7 @@ class MixedProblem:
             newton=self._options.flag("monitor_newton"), krylov=self._options.flag("monitor_krylov")
         )
         strategy.attach(self._newton)
-        if engine and len(self.fields) > 1 and snes.getLineSearch().getType() == "bt":
-            raise ValueError(
-                'the line search "bt" multiplies by the block Jacobian, which the engine does not '
-                'assemble; choose "l2" or "cp", or engine=False'
-            )
+        self._refuse_products()
         destroy_with(self, self.system.unknowns.layout.comm, self._newton.belongings)
 
     @property
@@ -253,6 +249,22 @@ class MixedProblem:
         """Recompute all per-cell data from the current fields, for evaluating an expression."""
         for data in self._cell_data:
             data.refresh()
+
+    def _refuse_products(self) -> None:
+        """Refuse options for which PETSc would multiply by what the engine does not assemble."""
+        if not isinstance(self.system, EngineProblem) or len(self.fields) == 1:
+            return
+        search, krylov = (
+            of.getType() for of in (self.system.solver.getLineSearch(), self.system.solver.getKSP())
+        )
+        why = "multiplies by the block Jacobian, which the engine does not assemble"
+        if search == "bt":
+            raise ValueError(f'the line search "bt" {why}; choose "l2" or "cp", or engine=False')
+        if krylov not in ("preonly", "none"):
+            raise ValueError(
+                f"ksp_type is {krylov!r}, which {why}; name the condensed system's, "
+                "condensed_ksp_type, or choose engine=False"
+            )
 
     def _keep_unknowns(self) -> None:
         """Leave the unknowns of the last solve in `problem.x`, without units."""

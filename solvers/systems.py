@@ -88,6 +88,16 @@ class System(Protocol):
             Whether this has succeeded in every cell.
         """
 
+    def hold(self, before: Sequence[Floats]) -> int:
+        """Move cell-local fields towards former values where the energy has no value. Collective.
+
+        Args:
+            before: Former values of each field.
+
+        Returns:
+            In how many cells.
+        """
+
     def destroy(self) -> None:
         """Destroy PETSc's objects. Collective."""
 
@@ -184,6 +194,10 @@ class AssembledSystem:
     def relax(self) -> bool:
         """Nothing: this does not descend."""
         return False
+
+    def hold(self, before: Sequence[Floats]) -> int:
+        """Nothing: this does not look into cells."""
+        return 0
 
     def condensation(self) -> Condensation:
         """The elimination of the cell-local fields; the Jacobian has been assembled. Collective."""

@@ -163,6 +163,18 @@ class Kernel:
         self._state = []
         return int(self._library.relax(self._part(), most))
 
+    def hold(self, before: Sequence[Floats], most: int) -> int:
+        """Move local fields towards former values in cells where the energy has no value.
+
+        Args:
+            before: An array for each field, of which those of local fields are read.
+            most: How often to halve their distance from the present ones.
+
+        Returns:
+            In how many cells.
+        """
+        return int(self._library.hold(self._part(), self._pointers(before), most))
+
     def _read(self) -> list[Floats]:
         """What the kept numbers depend on."""
         values = [self._fields[f].x.array for f in self._used] + [c.value for c in self._constants]

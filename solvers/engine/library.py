@@ -49,6 +49,7 @@ int matrix(const Part *part, int projection, const signed char *marks, double *c
            double *squares, double *singular);
 void recover(const Part *part, double *const *changes);
 int relax(const Part *part, int most);
+int hold(const Part *part, double *const *before, int most);
 """)
 
 

@@ -87,18 +87,49 @@ INLINE void point(const Part *part, const double *U, int cell, long at, int q, d
   for (int k = 0; k < DATA; k++) y[NY+k] = part->data[at*DATA+k];
 }
 
-double energy(const Part *part) {
+INLINE double cell_energy(const Part *part, int n) {
   double sum = 0, U[NE + 1], y[NY + DATA + MULTIPLIERS + 1], kept[KEPT + 1];
-  for (int n = 0; n < part->cells; n++) {
-    gather(part, part->numbers[n], part->values, U);
-    for (int q = 0; q < POINTS; q++) {
-      long at = (long)n*POINTS + q;
-      double w = 0;
-      point(part, U, part->numbers[n], at, q, y);
-      functions(y, part->constants, kept);
-      ENERGY(&w, y, part->constants);
-      sum += part->geometry[at*(DIM*DIM+1)+DIM*DIM]*w; } }
+  gather(part, part->numbers[n], part->values, U);
+  for (int q = 0; q < POINTS; q++) {
+    long at = (long)n*POINTS + q;
+    double w = 0;
+    point(part, U, part->numbers[n], at, q, y);
+    functions(y, part->constants, kept);
+    ENERGY(&w, y, part->constants);
+    sum += part->geometry[at*(DIM*DIM+1)+DIM*DIM]*w; }
   return sum;
+}
+
+double energy(const Part *part) {
+  double sum = 0;
+  for (int n = 0; n < part->cells; n++) sum += cell_energy(part, n);
+  return sum;
+}
+
+/* In cells where the energy has no value, halves the way of local fields from `before` until it has, at most `most`
+   times; returns in how many cells. */
+int hold(const Part *part, double *const *before, int most) {
+  int held = 0;
+#if NL + NC
+  for (int n = 0; n < part->cells; n++) {
+    int cell = part->numbers[n], halvings = 0;
+    for (; halvings < most && !isfinite(cell_energy(part, n)); halvings++) {
+#define HALVE(value, from) { value = from + (value - from)/2; }
+#define X(f, bs, nodes, first, value, gradient, place) \
+      if (first >= NS) for (int a = 0; a < nodes; a++) for (int i = 0; i < bs; i++) { \
+        long k = bs*(long)part->dofs[f][nodes*(long)cell+a]+i; \
+        HALVE(part->values[f][k], before[f][k]) }
+      EACH_ARGUMENT(X)
+#undef X
+#define X(f, size, place) for (int q = 0; q < POINTS; q++) for (int k = 0; k < size; k++) \
+        HALVE(LOCAL(part->values, f, size, cell, q, k), LOCAL(before, f, size, cell, q, k))
+      EACH_LOCAL(X)
+#undef X
+#undef HALVE
+    }
+    held += halvings > 0; }
+#endif
+  return held;
 }
 
 /* Adds the derivatives of the energy to an array for each field, and keeps what the matrix needs. */
@@ -310,20 +341,23 @@ void recover(const Part *part, double *const *changes) {
 
 #if NL + NC
 /* Moves local fields to where the energy is stationary in them, the others held, by Newton's method in at
-   most `most` iterations; returns in how many cells that has failed. */
+   most `most` iterations, going half of a step back where there is no next one; returns in how many cells that has
+   failed. */
 int relax(const Part *part, int most) {
   double U[NE + 1], y[NY + DATA + MULTIPLIERS + 1], kept[KEPT + 1];
   int failed = 0;
   for (int n = 0; n < part->cells; n++) {
-    int cell = part->numbers[n], left = most, done = 0;
+    int cell = part->numbers[n], done = 0;
+    double last[POINTS][NL + 1], change[NC + 1];
     gather(part, cell, part->values, U);
-    for (; !done && left > 0; left--) {
+    for (int iteration = 0; !done && iteration < most; iteration++) {
       double fall = 0, size = 0; /* of the energy along the step, and along the unknowns themselves */
+      double steps[POINTS][NL + 1], sign = -1;
+      int bad = 0;
 #if NC
-      double C[NC*NC] = {0}, r[NC] = {0}, scale[NC], work[NC], B[POINTS][NL + 1][NC];
+      double C[NC*NC] = {0}, r[NC] = {0}, x[NC], scale[NC], work[NC], B[POINTS][NL + 1][NC];
       int order[NC];
 #endif
-      double steps[POINTS][NL + 1];
       for (int q = 0; q < POINTS; q++) {
         long at = (long)n*POINTS + q;
         const double *geometry = part->geometry + at*(DIM*DIM + 1), w = geometry[DIM*DIM];
@@ -336,7 +370,7 @@ int relax(const Part *part, int most) {
         HESSIAN(H, y, part->constants);
         chain_functions(H, y, part->constants, kept);
         for (int i = 0; i < NL; i++) solution[i][NA] = g[NA+i];
-        if (eliminate(H, solution, A)) { left = 0; break; }
+        if ((bad = eliminate(H, solution, A) != 0)) break;
         for (int i = 0; i < NL; i++) {
           steps[q][i] = solution[i][NA];
           fall += w*fabs(g[NA+i]*steps[q][i]); size += w*fabs(g[NA+i]*y[NA+i]); }
@@ -363,28 +397,35 @@ int relax(const Part *part, int most) {
 #undef X
 #endif
       }
-      if (!left) break;
 #if NC
-      double change[NC];
-      memcpy(change, r, sizeof r);
-      if (solve(NC, 1, C, NC, change, 1, scale, order, work)) { left = 0; break; }
-      for (int c = 0; c < NC; c++) {
-        fall += fabs(r[c]*change[c]); size += fabs(r[c]*U[NS+c]);
-        for (int q = 0; q < POINTS; q++) for (int i = 0; i < NL; i++) steps[q][i] -= B[q][i][c]*change[c]; }
+      memcpy(x, r, sizeof r);
+      bad = bad || solve(NC, 1, C, NC, x, 1, scale, order, work);
+      if (!bad) for (int c = 0; c < NC; c++) {
+        fall += fabs(r[c]*x[c]); size += fabs(r[c]*U[NS+c]);
+        for (int q = 0; q < POINTS; q++) for (int i = 0; i < NL; i++) steps[q][i] -= B[q][i][c]*x[c]; }
+#endif
+      if (bad || !isfinite(fall)) {
+        if (!iteration) break;
+        sign = 1;
+        for (int q = 0; q < POINTS; q++) for (int i = 0; i < NL; i++) steps[q][i] = last[q][i]/2;
+      }
+      memcpy(last, steps, sizeof steps);
+#if NC
+      for (int c = 0; c < NC; c++) change[c] = sign > 0 ? change[c]/2 : x[c];
 #define X(f, bs, nodes, first, value, gradient, place) if (first >= NS) \
       for (int a = 0; a < nodes; a++) for (int i = 0; i < bs; i++) { \
-        U[first+i*nodes+a] -= change[first-NS+i*nodes+a]; \
+        U[first+i*nodes+a] += sign*change[first-NS+i*nodes+a]; \
         part->values[f][bs*(long)part->dofs[f][nodes*(long)cell+a]+i] = U[first+i*nodes+a]; }
       EACH_ARGUMENT(X)
 #undef X
 #endif
       for (int q = 0; q < POINTS; q++) {
-#define X(f, size, place) for (int k = 0; k < size; k++) LOCAL(part->values, f, size, cell, q, k) -= steps[q][place-NA+k];
+#define X(f, size, place) for (int k = 0; k < size; k++) \
+          LOCAL(part->values, f, size, cell, q, k) += sign*last[q][place-NA+k];
         EACH_LOCAL(X)
 #undef X
       }
-      if (!isfinite(fall)) { left = 0; break; }
-      done = fall <= 1e-8*size; /* of a relative change that Newton's method squares */
+      done = sign < 0 && fall <= 1e-8*size; /* of a relative change that Newton's method squares */
     }
     failed += !done; }
   return failed;

@@ -27,7 +27,20 @@ Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int32]
 
 MOST_RELAXATIONS = 30
+MOST_HALVINGS = 50
 """Iterations of Newton's method for the local unknowns of a cell."""
+
+
+class _Unassembled:
+    """The block Jacobian, which nobody needs.
+
+    But PETSc multiplies by it after a line search that failed, to see whether that was at a minimum
+    of the residual. It is not told.
+    """
+
+    def mult(self, A: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """No product."""
+        y.set(np.nan)
 
 
 class EngineProblem:
@@ -120,7 +133,7 @@ class EngineProblem:
         self.A = self.K
         if len(self.shared) < len(fields):
             size = self.x.getSizes()
-            self.A = PETSc.Mat().createPython((size, size), context=object(), comm=self.x.comm)
+            self.A = PETSc.Mat().createPython((size, size), context=_Unassembled(), comm=self.x.comm)
             self.A.setUp()
         self.solver = PETSc.SNES().create(self.x.comm)
         self.solver.setOptionsPrefix(prefix)
@@ -306,6 +319,19 @@ class EngineProblem:
         """
         failed = sum(kernel.relax(MOST_RELAXATIONS) for kernel in self.kernels)
         return int(self.layout.comm.allreduce(failed)) == 0
+
+    def hold(self, before: Sequence[Floats]) -> int:
+        """Move cell-local fields towards former values where the energy has no value. Collective.
+
+        Args:
+            before: Former values of each field.
+
+        Returns:
+            In how many cells.
+        """
+        return int(
+            self.layout.comm.allreduce(sum(k.hold(before, MOST_HALVINGS) for k in self.kernels))
+        )
 
     def energy(self) -> float:
         """The energy at the current fields [J]. Collective."""

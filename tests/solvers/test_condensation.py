@@ -273,6 +273,7 @@ def test_relaxed_fields_are_where_the_energy_is_stationary():
             "'projected-newton' needs the displacement alone as field",
         ),
         ("symmetric", {"options": {"snes_linesearch_type": "bt"}}, 'choose "l2" or "cp"'),
+        ("symmetric", {"options": {"ksp_type": "gmres"}}, "name the condensed system's"),
         ("symmetric", {"options": {"condensed_pc_type": "icc"}}, "add condensed_ksp_type=cg"),
     ],
 )
