@@ -38,6 +38,7 @@ class Newton:
         reason: PETSc's reason for the end of the last pass.
         failure: What the linear solver says where that is to blame.
         belongings: What is to be destroyed with the problem.
+        size: Of the body [m].
     """
 
     def __init__(self, system: System, linear: LinearSolver) -> None:
@@ -51,7 +52,6 @@ class Newton:
         self.history = History()
         self.reason, self.failure = 0, ""
         self.belongings: list[Any] = [system]
-        self._right: PETSc.Vec | None = None
         self._trial: PETSc.Vec | None = None
         self._last: tuple[PETSc.Vec, ...] = ()
         self._continued = self._stepped = False
@@ -113,7 +113,7 @@ class Newton:
         self.system.unknowns.read(self.system.x)
         unknowns = self.system.unknowns
         self._floor = unknowns.round_off(self.system.x) if self._exact else 0.0
-        self._size = unknowns.size()
+        self.size = unknowns.size()
 
     def restart(self, note: str) -> None:
         """Begin again where the solve began, and note why. Collective."""
@@ -185,36 +185,6 @@ class Newton:
                 return True
         return False
 
-    def descent(self, x: PETSc.Vec, projection: int, base: PETSc.Vec, step: PETSc.Vec) -> float:
-        """A Newton step for that energy, to base - step. Collective.
-
-        Args:
-            x: Scaled unknowns, with an energy that is finite.
-            projection: Of the tangent, see `System`.
-            base: Becomes x with the cell-local fields where the energy is stationary in them.
-            step: Becomes the step.
-
-        Returns:
-            The slope of the energy towards what is subtracted, in the unit of the scaled system.
-        """
-        system, ksp = self.system, self.snes.getKSP()
-        self.merit(x)
-        if self._right is None:
-            self._right = self.vector()
-        right = self._right
-        system.unknowns.read(base)
-        system.projection, before = projection, system.projection
-        with self.evaluation("residual", base):
-            system.residual(right)
-        with self.evaluation("jacobian", base):
-            system.jacobian(right)
-        system.projection = before
-        self.linear.follow()
-        ksp.setOperators(*self.snes.getJacobian()[:2])
-        ksp.solve(right, step)
-        slope = right.dot(step) if ksp.getConvergedReason() > 0 else -np.inf
-        return float(slope) if np.isfinite(slope) else -np.inf
-
     def restore(self) -> None:
         """Put the values from before the solve into the fields."""
         for f, values in zip(self.system.fields, self._before, strict=True):
@@ -251,6 +221,8 @@ class Newton:
             self.failure = LINEAR_REASONS.get(reason, str(reason))
             if reason == PETSc.KSP.ConvergedReason.DIVERGED_PCSETUP_FAILED:
                 self.failure += f": {self.linear.why()}"
+        if self.reason > 0:
+            self.failure = ""
         return self.reason > 0
 
     def _growth_told(self) -> str:
@@ -260,7 +232,9 @@ class Newton:
             for f, scale in zip(self.system.fields, self.system.unknowns.scales, strict=True)
         }
         times = self._pass[-1] / self._pass[0]
-        return f"the residual has grown {times:.1e} times, most in {max(last, key=lambda n: last[n])}"
+        return (
+            f"the residual has grown {times:.1e} times, most in {max(last, key=lambda n: last[n])}"
+        )
 
     def _pass_to(self, end: int, growth: float, *, forced: bool) -> None:
         """Iterate to some number of iterations of the solve at most."""
@@ -303,7 +277,7 @@ class Newton:
         if cells:
             system.unknowns.read(self._trial)
             y.waxpy(-1.0, self._trial, x)
-            self.note(f"steps of {cells} cell{'s' * (cells > 1)} cut, as the energy had no value there")
+            self.note(f"steps of {cells} cell{'s' * (cells > 1)} cut: no energy there")
         return cells > 0
 
     @property
@@ -429,7 +403,7 @@ class Newton:
             The reason to stop, or 0.
         """
         steps = self._steps
-        steps.append(self.system.unknowns.largest_move(self.snes.getSolutionUpdate()) / self._size)
+        steps.append(self.system.unknowns.largest_move(self.snes.getSolutionUpdate()) / self.size)
         if steps[-1] > defaults.SETTLED and (len(steps) < 2 or steps[-1] < steps[-2] / 2):
             return 0
         if steps[-1] < defaults.UNSETTLED:

@@ -123,9 +123,6 @@ FALLEN = 1e-3
 ARMIJO = 1e-4
 """What a step must bring, as a part of what the slope of the energy promises."""
 
-WORTHWHILE = 0.5
-"""Shortest part of a step that is not yet reason to look for another direction."""
-
 SHORTEST = 1e-6
 """Shortest part of a step down the energy that is tried."""
 
@@ -133,17 +130,20 @@ ON_THE_WAY = (4, 16, 64)
 """Steps from the start of a solve in which cell-local fields are made to follow, where at once they
 do not: so many, or else so many."""
 
-LONGEST = 64.0
-"""Longest multiple of such a step."""
+NOWHERE = 8
+"""A search on the residual that does not halve it in so many iterations leads nowhere."""
 
-DOWN, UPHILL = 12, 4
+DOWN, UPHILL = 12, 5
 """Iterations down the energy before full steps are tried again; the most of those."""
+
+LONGEST = 64.0
+"""Most times that a step of a projected tangent is taken where that goes further down."""
+
+FARTHEST = 100.0
+"""Most that a step down the energy may move a point, in sizes of the body."""
 
 ROUNDING = 1e-12
 """Of the energy, what rounding error may be where slopes are looked at too."""
-
-ENERGY_RESOLVED = 1e-9
-"""Relative change of the energy below which a line search on it sees rounding error."""
 
 FORCING_LIMITS = (1e-3, 1e-8)
 """Loosest and tightest relative tolerance of an iterative solve inside a Newton step."""

@@ -133,7 +133,9 @@ class EngineProblem:
         self.A = self.K
         if len(self.shared) < len(fields):
             size = self.x.getSizes()
-            self.A = PETSc.Mat().createPython((size, size), context=_Unassembled(), comm=self.x.comm)
+            self.A = PETSc.Mat().createPython(
+                (size, size), context=_Unassembled(), comm=self.x.comm
+            )
             self.A.setUp()
         self.solver = PETSc.SNES().create(self.x.comm)
         self.solver.setOptionsPrefix(prefix)

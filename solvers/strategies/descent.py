@@ -18,35 +18,52 @@ class Descent(Strategy):
     """The exact tangent, the positive semi-definite one where it is not, and Armijo's condition.
 
     Where rounding error hides what a short step does to the energy, the slope at its end decides
-    (Hager and Zhang, 2005, section 2.1). For the displacement alone.
+    (Hager and Zhang, 2005, section 2.1). Cell-local fields, if there are any, are after each step
+    where the energy is stationary in them.
 
     Attributes:
         name: In `STRATEGIES`.
         shrink: What the search multiplies steps by.
         projection: Of the tangents of all iterations, see `EngineProblem`.
+        alone: Whether it is for the displacement alone.
+        longest: How many times a step of a projected tangent may be taken.
+        farthest: How many times the body's size a step may move a point.
         system: That of Newton's method.
+        energy: At the unknowns [J].
     """
 
     name = "descent"
     shrink = 0.5
     projection = 0
+    alone = True
+    longest, farthest = 1.0, np.inf
 
     def attach(self, newton: Newton) -> None:
-        """Prepare the tangents."""
+        """Insist on an energy."""
         super().attach(newton)
-        newton.require_descent(self.name, alone=True)
+        newton.require_descent(self.name, alone=self.alone)
         assert isinstance(newton.system, EngineProblem)  # no other can
         self.system = newton.system
-        self.system.projection = self.projection
         self._trial, self._slopes = newton.vector(), newton.vector()
 
     def solve(self) -> bool:
         """Iterate. Collective."""
         self.newton.meet_conditions(self.system.x)
-        self._energy = self.newton.merit(self.system.x)
-        self._noise = self._rounding(self.system.x)
+        return self.descend()
+
+    def descend(self, most: int | None = None) -> bool:
+        """Iterate from unknowns that meet the conditions. Collective.
+
+        Args:
+            most: Iterations.
+        """
+        x = self.system.x
+        self.energy = self.newton.merit(x)
+        self.system.unknowns.read(x)
+        self._noise = self._rounding(x)
+        self.system.projection = self.projection
         self.begin()
-        return self.newton.iterate()
+        return self.newton.iterate(most=most)
 
     def begin(self) -> None:
         """Forget the last solve."""
@@ -69,7 +86,7 @@ class Descent(Strategy):
             return False
         while slope < 0.0:
             if t := self._search(x, y, slope):
-                return t < 1.0
+                return t < 1.0 or not newton.alone
             # A body that turns has rounding errors that it does not have at rest.
             noise = self._rounding(x)
             if noise <= self._noise:
@@ -81,17 +98,41 @@ class Descent(Strategy):
 
     def _search(self, x: PETSc.Vec, y: PETSc.Vec, slope: float) -> float:
         """Shorten a step; return by how much, 0 if no length will do."""
-        energy, t = self._energy, 1.0
-        while t > SHORTEST:
+        energy, first = self.energy, 1.0
+        if np.isfinite(self.farthest):
+            moved = self.system.unknowns.largest_move(y) / self.newton.size
+            first = 1.0 if moved <= self.farthest else self.farthest / moved
+        t = first
+        while t > SHORTEST * first:
             self._trial.waxpy(-t, y, x)
             change = self.newton.merit(self._trial) - energy
             if change <= ARMIJO * t * slope or self._flat(change, y, slope):
-                self._energy = energy + change
+                self.energy = energy + change
+                if self.system.projection and t == 1.0:
+                    t = self._stretched(x, y)
                 y.scale(t)
                 self.accepted(x, y, t * slope, change)
+                if not self.newton.alone:  # the fields are relaxed
+                    self.system.unknowns.read(self._trial)
+                    y.waxpy(-1.0, self._trial, x)
                 return t
             t *= self.shrink
         return 0.0
+
+    def _stretched(self, x: PETSc.Vec, y: PETSc.Vec) -> float:
+        """Take twice the step as long as that brings more; return how many times."""
+        length = 1.0
+        while length < self.longest:
+            self._trial.waxpy(-2 * length, y, x)
+            energy = self.newton.merit(self._trial)
+            if energy >= self.energy:
+                self._trial.waxpy(-length, y, x)
+                self.newton.merit(self._trial)
+                break
+            self.energy, length = energy, 2 * length
+        if length > 1.0:
+            self.newton.note(f"step {length:g}")
+        return length
 
     def _slope(self, y: PETSc.Vec) -> float:
         """The energy's along a step, which becomes that of a stand-in if it goes up."""
@@ -100,7 +141,9 @@ class Descent(Strategy):
         while slope > 0.0 and system.project():
             self.newton.snes.getKSP().solve(system.b, y)
             slope = -system.b.dot(y)
-        return float(slope)
+        if slope > 0.0:  # rounding error of a tangent that is all but singular
+            y.scale(-1.0)
+        return -abs(float(slope))
 
     def _flat(self, change: float, y: PETSc.Vec, slope: float) -> bool:
         """Whether no more than rounding tells the energy apart, and the slope is not steeper up."""
@@ -110,7 +153,7 @@ class Descent(Strategy):
         return bool(-self._slopes.dot(y) <= (2 * ARMIJO - 1) * slope)
 
     def _is_rounding(self, change: float) -> bool:
-        return abs(change) <= self._noise + ROUNDING * abs(self._energy)
+        return abs(change) <= self._noise + ROUNDING * abs(self.energy)
 
     def _rounding(self, x: PETSc.Vec) -> float:
         """What rounding of positions does to the energy [J], at scaled unknowns. Collective."""
@@ -176,13 +219,9 @@ class ProjectOnDemand(Descent):
     name = "project-on-demand"
     ITERATIONS = 4
 
-    def attach(self, newton: Newton) -> None:
-        """Put the projected tangent in place of one that is not definite."""
-        super().attach(newton)
-        self.system.stand_in = weakly(self._project)
-
     def begin(self) -> None:
-        """Begin with the exact tangent."""
+        """Begin with the exact tangent; the projected one takes the place of one not definite."""
+        self.system.stand_in = weakly(self._project)
         self._left = 0
 
     def before_iteration(self, snes: PETSc.SNES, iteration: int) -> None:
@@ -208,13 +247,9 @@ class KineticNewton(Descent):
     name = "kinetic-newton"
     GROWTH, MOST = 4.0, 1e12
 
-    def attach(self, newton: Newton) -> None:
-        """Add inertia to a tangent that is not definite."""
-        super().attach(newton)
-        self.system.stand_in = weakly(self._add)
-
     def begin(self) -> None:
-        """Begin with the exact tangent."""
+        """Begin with the exact tangent; inertia is added to one that is not definite."""
+        self.system.stand_in = weakly(self._add)
         self._more = 0.0
 
     def before_iteration(self, snes: PETSc.SNES, iteration: int) -> None:
@@ -238,13 +273,9 @@ class ProgressiveNewton(Descent):
     name = "progressive-newton"
     TIGHTEN, RELEASE, ALL = 0.5, 2.0, 1e-9
 
-    def attach(self, newton: Newton) -> None:
-        """Project more cells of a tangent that is not definite."""
-        super().attach(newton)
-        self.system.stand_in = weakly(self._more)
-
     def begin(self) -> None:
-        """Begin with the exact tangent."""
+        """Begin with the exact tangent; more cells are projected where it is not definite."""
+        self.system.stand_in = weakly(self._more)
         self._threshold = np.inf
 
     def before_iteration(self, snes: PETSc.SNES, iteration: int) -> None:

@@ -29,13 +29,13 @@ class ResidualSearch(Strategy):
             return self.newton.iterate()
         if self.newton.iterate(growth=DIVERGING, most=MOST_FULL_STEPS):
             return True
-        return not self.newton.exhausted and self._search(most=None)
+        return not self.newton.exhausted and self._search()
 
-    def _search(self, most: int | None) -> bool:
+    def _search(self) -> bool:
         newton = self.newton
         newton.restart("full steps diverge: from the start again, with a line search")
         search = newton.snes.getLineSearch()
         search.setType("bt" if newton.alone else "l2")
-        converged = newton.iterate(growth=DIVERGING, most=most)
+        converged = newton.iterate(growth=DIVERGING)
         search.setType("basic")
         return converged
