@@ -13,6 +13,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from solvers import options as defaults
+from solvers.domain import Domain
 from solvers.layout import is_local
 from solvers.lifetime import weakly
 from solvers.linear import LINEAR_REASONS, LinearSolver, names_of
@@ -52,10 +53,8 @@ class Newton:
         self.history = History()
         self.reason, self.failure = 0, ""
         self.belongings: list[Any] = [system]
-        self._trial: PETSc.Vec | None = None
-        self._last: tuple[PETSc.Vec, ...] = ()
-        self._continued = self._stepped = False
-        self._careful = False  # whether the energy has been where it has no value
+        self._continued = False
+        self._domain = Domain(system, weakly(self.vector), weakly(self.note))
         self._scaled = False
         self._before = [np.empty_like(f.x.array) for f in system.fields]
         self._begin_pass(np.inf, forced=False)
@@ -164,7 +163,7 @@ class Newton:
 
     def _relaxed(self) -> bool:
         """Relax, if need be from values before the solve, or on the way. Collective."""
-        if self._careful:
+        if self._domain.left:
             self.system.hold(self._before)
         return self.system.relax() or self._relaxed_on_the_way()
 
@@ -207,7 +206,8 @@ class Newton:
         most = limit if most is None else most
         end = min(limit, max(len(self.history.residuals) - 1, 0) + most)
         self._pass_to(end, growth, forced=forced)
-        while self.reason == Reason.DIVERGED_FUNCTION_NANORINF and self._amended():
+        while self.reason == Reason.DIVERGED_FUNCTION_NANORINF and self._domain.amend():
+            self._continued = True
             self._pass_to(end, growth, forced=False)
         if self.reason == Reason.DIVERGED_FUNCTION_NANORINF:
             norms = self.system.unknowns.norms(self.system.b)
@@ -247,39 +247,6 @@ class Newton:
         self.system.unknowns.write(x)
         self.reason = int(snes.getConvergedReason())
 
-    def _amended(self) -> bool:
-        """Undo what has led the last step to where the energy has no value. Collective.
-
-        Returns:
-            Whether that is cell-local fields, which from now on are kept where it has one.
-        """
-        if self._careful or not self._stepped:
-            return False
-        x, y = self._last
-        self._careful = self._continued = self._held(x, y)
-        self.system.x.waxpy(-1.0, y, x)
-        return self._careful
-
-    def _held(self, x: PETSc.Vec, y: PETSc.Vec) -> bool:
-        """Cut the step from x to x - y in cells where it leads to no value. Collective.
-
-        Returns:
-            Whether there is such a cell; y is changed.
-        """
-        system = self.system
-        if self._trial is None:
-            self._trial = self.vector()
-        system.unknowns.write(x)
-        before = [f.x.array.copy() for f in system.fields]
-        self._trial.waxpy(-1.0, y, x)
-        system.unknowns.write(self._trial)
-        cells = system.hold(before)
-        if cells:
-            system.unknowns.read(self._trial)
-            y.waxpy(-1.0, self._trial, x)
-            self.note(f"steps of {cells} cell{'s' * (cells > 1)} cut: no energy there")
-        return cells > 0
-
     @property
     def exhausted(self) -> bool:
         """Whether no iteration of the solve is left."""
@@ -300,7 +267,8 @@ class Newton:
         self._scaled = False
 
     def _begin_pass(self, growth: float, *, forced: bool) -> None:
-        self._growth, self._forced, self._stepped = growth, forced, False
+        self._growth, self._forced = growth, forced
+        self._domain.begin()
         self._before_pass = max(len(self.history.residuals) - 1, 0) + self._continued
         self._pass: list[float] = []
         self._steps: list[float] = []
@@ -323,15 +291,7 @@ class Newton:
     def _before_step(self, x: PETSc.Vec, y: PETSc.Vec) -> bool:
         """Let the strategy change the step, and keep it where the energy has a value."""
         changed = self._choose_step(x, y)
-        if self._careful:
-            changed |= self._held(x, y)
-        elif not self.alone:  # what PETSc keeps of a step that fails is not said
-            self._stepped = True
-            if not self._last:
-                self._last = self.vector(), self.vector()
-            for kept, vector in zip(self._last, (x, y), strict=True):
-                vector.copy(kept)
-        return bool(changed)
+        return self._domain.watch(x, y) or changed
 
     def _residual(self, snes: PETSc.SNES, x: PETSc.Vec, b: PETSc.Vec) -> None:
         """The scaled residual at scaled unknowns."""

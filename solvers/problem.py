@@ -19,7 +19,7 @@ from ufl.algorithms.analysis import extract_arguments
 from forms import require_measure
 from solvers import options as defaults
 from solvers.condensed import CondensedSolver
-from solvers.engine.density import NotPointwise
+from solvers.engine.slots import NotPointwise
 from solvers.engine.system import EngineProblem
 from solvers.fieldsplit import FieldSplitSolver
 from solvers.layout import is_local, require_local

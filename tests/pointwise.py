@@ -24,7 +24,7 @@ from dolfinx.fem.petsc import assemble_matrix, create_matrix
 from ufl.algorithms import expand_derivatives
 
 from forms import FORMULATIONS, deformation_gradient, quadrature_degree, refresh
-from solvers.engine.density import is_local
+from solvers.layout import is_local
 from tests.states import dense
 
 COUNT = 64  # of simplices

@@ -12,8 +12,9 @@ from dolfinx import fem
 from ufl.algorithms.analysis import extract_constants
 
 from forms import CellData
-from solvers.engine.density import Density, Slot, coefficients
+from solvers.engine.density import Density
 from solvers.engine.library import load
+from solvers.engine.slots import Slot, coefficients
 from solvers.engine.source import Source
 
 Floats = npt.NDArray[np.float64]

@@ -21,7 +21,8 @@ from dolfinx import fem
 from ufl.algorithms import expand_derivatives
 from ufl.core.expr import Expr
 
-from solvers.engine.density import POINT, Density, PointFunction
+from solvers.engine.density import Density
+from solvers.engine.slots import POINT, PointFunction
 
 Pattern = npt.NDArray[np.bool_]
 

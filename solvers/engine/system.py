@@ -16,9 +16,10 @@ from dolfinx.fem.petsc import create_vector
 
 from solvers.condensation import Condensation
 from solvers.engine.couplings import Couplings, prescribed_dofs
-from solvers.engine.density import NotPointwise, take_apart
+from solvers.engine.density import take_apart
 from solvers.engine.kernel import Kernel
 from solvers.engine.rest import Rest
+from solvers.engine.slots import NotPointwise
 from solvers.layout import BlockLayout, is_local
 from solvers.scaling import Unknowns
 from solvers.systems import cell_data, forget_traversals
