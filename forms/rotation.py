@@ -21,6 +21,11 @@ G = M(tr S₀)⁻¹ = (2 (tr S₀ I - S₀))⁻¹; expanding the inverse, to sec
 a polynomial of degree two in F with coefficients R₀, S₀, G. G exists wherever σᵢ + σⱼ ≠ 0, that is
 wherever R is smooth: at rest, with equal singular values, and for det F < 0 while σ₂ + σ₃ ≠ 0.
 
+Where two singular values cancel, R is one of the rotations that maximise tr(RᵀF), which are many,
+and has no derivative. There the sum of the two counts as no less than `GAP` times the largest, or
+than `GAP` if that is below 1, which leaves derivatives finite: of the order 1/GAP, and 1/GAP². In
+2D R is the identity there, and constant.
+
 B. K. P. Horn, Closed-form solution of absolute orientation using unit quaternions, JOSA A 4 (1987).
 """
 
@@ -36,6 +41,9 @@ from ufl.core.expr import Expr
 from forms.cell_data import CellData, frozen, intermediate, marked
 
 _LOWER = np.tril_indices(3)
+
+GAP = 1e-8
+"""Least sum of two singular values that R is differentiated with; that of `code/polar.h`."""
 
 
 class _PolarData(CellData):
@@ -78,8 +86,7 @@ def polar_factors(
         F: Deformation gradients, shape (n, 3, 3).
 
     Returns:
-        Three arrays of shape (n, 3, 3). G is not finite where σ₂ + σ₃ = 0 and
-        R has no derivative.
+        Three arrays of shape (n, 3, 3). No sum in G is below `GAP`.
 
     Raises:
         numpy.linalg.LinAlgError: An F that is not finite.
@@ -90,9 +97,9 @@ def polar_factors(
     sigma[reflected, 2] *= -1.0
     V = Vt.transpose(0, 2, 1)
     S = np.einsum("nik,nk,njk->nij", V, sigma, V)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        gamma = 0.5 / (sigma.sum(axis=1, keepdims=True) - sigma)
-        G = np.einsum("nik,nk,njk->nij", V, gamma, V)
+    sums = sigma.sum(axis=1, keepdims=True) - sigma
+    gamma = 0.5 / np.maximum(sums, GAP * np.maximum(1.0, sigma[:, :1]))
+    G = np.einsum("nik,nk,njk->nij", V, gamma, V)
     return U @ Vt, S, G
 
 
@@ -117,6 +124,8 @@ def polar_rotation(F: Expr) -> Expr:
     """
     if F.ufl_shape == (2, 2):
         c, s = F[0, 0] + F[1, 1], F[1, 0] - F[0, 1]
+        mirrored = ufl.lt(c**2 + s**2, GAP**2)
+        c, s = ufl.conditional(mirrored, 1.0, c), ufl.conditional(mirrored, 0.0, s)
         r = ufl.sqrt(c**2 + s**2)
         return ufl.as_matrix([[c / r, -s / r], [s / r, c / r]])
     return _PolarData.of(F).rotation

@@ -24,6 +24,7 @@ from forms import (
     polar_rotation,
     right_stretch,
 )
+from forms.rotation import GAP, polar_factors
 from tests.states import small_mesh
 
 entries = st.floats(-2.0, 2.0, allow_subnormal=False)
@@ -120,6 +121,30 @@ def test_agrees_with_scipy(one_cell, data):
     for R_ufl, S_ufl in zip(*one_cell.evaluate(F), strict=True):
         np.testing.assert_allclose(R_ufl, R, rtol=0, atol=1e-12)
         np.testing.assert_allclose(S_ufl, S, rtol=0, atol=1e-12)
+
+
+CANCELLING = [
+    (0.0, 0.0, 0.0),
+    (1.3, 0.0, 0.0),
+    (1.2, 0.8, -0.8),
+    (1.0, 1.0, -1.0),
+    (1e3, 1.0, -1.0),
+]
+
+
+@pytest.mark.parametrize("sigma", CANCELLING)
+def test_where_there_are_many_rotations(one_cell, sigma):
+    """One of those that maximise tr RᵀF, and derivatives that are finite."""
+    d = one_cell.d
+    sigma = np.array((sigma[0], -sigma[0]) if d == 2 else sigma)
+    U, V = (svd_polar(np.random.default_rng(k).normal(size=(d, d)))[0] for k in (1, 2))
+    F = U @ np.diag(sigma) @ V.T
+    for R, S in zip(*one_cell.evaluate(F), strict=True):
+        np.testing.assert_allclose(R @ R.T, np.eye(d), rtol=0, atol=1e-12)
+        assert np.linalg.det(R) == pytest.approx(1.0, abs=1e-12)
+        assert np.trace(S) == pytest.approx(sigma.sum(), abs=1e-12 * max(1.0, sigma[0]))
+    G = polar_factors(np.pad(F, (0, 3 - d))[None])[2]
+    assert np.abs(G).max() <= 0.5 / GAP
 
 
 def test_per_cell_data_are_shared():
