@@ -33,7 +33,16 @@ from forms.formulations import (
 )
 from forms.history import History
 from forms.kinematics import deformation_gradient
-from forms.loads import LOADS, BodyForce, Gravity, Load, Pressure, Traction
+from forms.loads import (
+    LOADS,
+    BodyForce,
+    Gravity,
+    HalfSpace,
+    Load,
+    PointForce,
+    Pressure,
+    Traction,
+)
 from forms.materials import (
     MATERIALS,
     AsRigidAsPossible,
@@ -53,7 +62,18 @@ from forms.materials import (
     lame_parameters,
 )
 from forms.model import Energies, EnergyIntegrals, Model
-from forms.motions import MOTIONS, Fixed, Held, Motion, Stretch, Translate, Twist
+from forms.motions import (
+    MOTIONS,
+    Bend,
+    Fixed,
+    Held,
+    Motion,
+    Prescribed,
+    Stretch,
+    Timed,
+    Translate,
+    Twist,
+)
 from forms.newmark import GeneralisedAlpha, Newmark, Trapezoidal
 from forms.points import measure, quadrature_degree, require_measure
 from forms.rotation import (
@@ -81,6 +101,7 @@ __all__ = [
     "SCHEMES",
     "AsRigidAsPossible",
     "BackwardEuler",
+    "Bend",
     "BodyForce",
     "CellData",
     "CellFunction",
@@ -93,6 +114,7 @@ __all__ = [
     "Fung",
     "GeneralisedAlpha",
     "Gravity",
+    "HalfSpace",
     "Held",
     "Hencky",
     "History",
@@ -106,6 +128,8 @@ __all__ = [
     "NeoHookean",
     "Newmark",
     "Ogden",
+    "PointForce",
+    "Prescribed",
     "Pressure",
     "Rayleigh",
     "Scheme",
@@ -114,6 +138,7 @@ __all__ = [
     "StableNeoHookean",
     "Static",
     "Stretch",
+    "Timed",
     "Traction",
     "Translate",
     "Trapezoidal",

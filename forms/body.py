@@ -22,3 +22,6 @@ class BodyLike(Protocol):
 
     def ds(self, where: Any = None) -> ufl.Measure:
         """The measure over the boundary facets in a part, by default all of them. Collective."""
+
+    def dP(self, where: Any) -> ufl.Measure:
+        """The measure that sums over the vertices in a part, each once. Collective."""

@@ -182,6 +182,57 @@ class Pressure(Load):
         return self.constant(body.mesh, "value") * normal
 
 
+@dataclass(eq=False)
+class PointForce(Load):
+    """A dead force on each of some vertices: -f · u.
+
+    Attributes:
+        force: Force [N], in 2D by thickness [N/m].
+        where: The vertices, as the body takes them.
+    """
+
+    force: Vector
+    where: Any
+
+    def energy(self, body: BodyLike, u: Expr, rho: Expr | None) -> ufl.Form:
+        """Return -Σ f · u."""
+        return -ufl.inner(self.constant(body.mesh, "force", u.ufl_shape), u) * body.dP(self.where)
+
+
+@dataclass(eq=False)
+class HalfSpace(Load):
+    """Frictionless contact with the half-space n · x < a: the penalty k/2 (a - n · x)² within.
+
+    Where the body reaches into it by δ, it pushes back with k δ by area at rest.
+
+    Attributes:
+        plane: Normal n of its plane, to the side where the body is; of any length.
+        offset: Distance a [m] of the plane from the origin along n.
+        stiffness: Pressure by depth k [Pa/m]; E times 1 to 100 by the size of a cell, say.
+        where: The facets that may touch, as the body takes it; by default the whole boundary.
+    """
+
+    plane: Sequence[float]
+    stiffness: Scalar
+    offset: Scalar = 0.0
+    where: Any = None
+
+    def energy(self, body: BodyLike, u: Expr, rho: Expr | None) -> ufl.Form:
+        """Return k/2 ∫ max(a - n · x, 0)² dA.
+
+        Raises:
+            ValueError: The normal has another dimension than the body, or is 0.
+        """
+        n = np.array(self.plane, dtype=float)
+        if n.shape != u.ufl_shape or not np.linalg.norm(n) > 0.0:
+            raise ValueError(f"HalfSpace: plane must be a normal of {len(u)} numbers, not all 0")
+        x = ufl.SpatialCoordinate(body.mesh) + u
+        n /= np.linalg.norm(n)
+        depth = self.constant(body.mesh, "offset") - ufl.inner(ufl.as_vector(n.tolist()), x)
+        k = self.constant(body.mesh, "stiffness")
+        return ufl.conditional(ufl.gt(depth, 0.0), k / 2 * depth**2, 0.0) * body.ds(self.where)
+
+
 def _at(given: Any, t: float) -> Any:
     """The value of a number, or of a function of time."""
     return given(t) if callable(given) else given
@@ -192,5 +243,7 @@ LOADS: dict[str, type[Load]] = {
     "body-force": BodyForce,
     "traction": Traction,
     "pressure": Pressure,
+    "point-force": PointForce,
+    "half-space": HalfSpace,
 }
 """Loads by the name that a scene file uses. To add one: `LOADS["mine"] = Mine`."""

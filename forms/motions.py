@@ -95,27 +95,99 @@ class Fixed(Motion):
 
 
 @dataclass(frozen=True)
-class Translate(Motion):
+class Prescribed(Motion):
+    """Moved as a function says.
+
+    Attributes:
+        function: From positions at rest [m], shape (n, d), and time [s] to displacements [m] of the
+            same shape.
+    """
+
+    function: Callable[[Array, float], Array]
+
+    def displacement(self, X: Array, t: float) -> Array:
+        """Return what the function does."""
+        return np.asarray(self.function(X, t), dtype=float)
+
+
+@dataclass(frozen=True)
+class Timed(Motion):
+    """A motion that has come so far at a time: by a rate, a function or a table.
+
+    Attributes:
+        start: Time [s] from which the rate counts.
+        end: Time [s] at which the motion comes to a halt; by default never.
+        table: In the place of the rate, rows of a time [s] and how far the motion has come then,
+            which goes straight from row to row, and stays before the first and after the last.
+    """
+
+    rate: Any = None
+    start: float = field(default=0.0, kw_only=True)
+    end: float | None = field(default=None, kw_only=True)
+    table: Sequence[Sequence[float]] | None = field(default=None, kw_only=True)
+
+    def __post_init__(self) -> None:
+        """Check what goes together.
+
+        Raises:
+            ValueError: Not one of rate and table; a table of rows that are no times with values, or
+                out of order; an end before the start.
+        """
+        if (self.rate is None) == (self.table is None):
+            raise ValueError("needs either a rate or a table")
+        if self.end is not None and self.end < self.start:
+            raise ValueError(f"end is {self.end:g} s, before start, {self.start:g} s")
+        if self.table is None:
+            return
+        widths = {len(row) for row in self.table}
+        if len(widths) != 1 or min(widths) < 2 or np.any(np.diff([r[0] for r in self.table]) <= 0):
+            raise ValueError("table must have rows [time, value], all alike, of growing times")
+
+    def come(self, t: float) -> Array:
+        """How far the motion has come at time t [s]: a vector, or one number."""
+        if self.table is not None:
+            times, *columns = np.array(self.table, dtype=float).T
+            return np.array([np.interp(t, times, column) for column in columns])
+        if callable(self.rate):
+            return np.atleast_1d(np.asarray(self.rate(t), dtype=float))
+        elapsed = max((t if self.end is None else min(t, self.end)) - self.start, 0.0)
+        return elapsed * np.atleast_1d(np.asarray(self.rate, dtype=float))
+
+    def amount(self, t: float) -> float:
+        """How far, where that is one number.
+
+        Raises:
+            ValueError: It is not.
+        """
+        come = self.come(t)
+        if come.size != 1:
+            raise ValueError(f"{type(self).__name__} needs one number at a time, not {come.size}")
+        return float(come[0])
+
+
+@dataclass(frozen=True)
+class Translate(Timed):
     """Moved without turning.
 
     Attributes:
         rate: Velocity [m/s]; or a function from time [s] to the displacement [m].
     """
 
-    rate: Sequence[float] | Callable[[float], Sequence[float]]
+    rate: Sequence[float] | Callable[[float], Sequence[float]] | None = None
 
     def displacement(self, X: Array, t: float) -> Array:
-        """Return the velocity times t."""
-        moved = self.rate(t) if callable(self.rate) else t * np.array(self.rate, dtype=float)
-        if np.shape(moved) != X.shape[1:]:
+        """Return the velocity times the time."""
+        moved = self.come(t)
+        if moved.shape != X.shape[1:]:
+            given = "rate" if self.table is None else "table"
             raise ValueError(
-                f"Translate: rate has {np.size(moved)} components; the body lives in {X.shape[1]}D"
+                f"Translate: {given} has {moved.size} components; the body lives in {X.shape[1]}D"
             )
         return np.tile(moved, (len(X), 1))
 
 
 @dataclass(frozen=True)
-class Stretch(Motion):
+class Stretch(Timed):
     """Stretched along an axis: moved along it in proportion to the distance from a centre.
 
     Attributes:
@@ -124,7 +196,7 @@ class Stretch(Motion):
         centre: Coordinate [m] on that axis of what stays.
     """
 
-    rate: float | Callable[[float], float]
+    rate: float | Callable[[float], float] | None = None
     axis: str = "x"
     centre: float = 0.0
 
@@ -132,12 +204,45 @@ class Stretch(Motion):
         """Return the strain times the distance."""
         i = axis_number(self.axis, X.shape[1])
         moved = np.zeros_like(X)
-        moved[:, i] = _amount(self.rate, t) * (X[:, i] - self.centre)
+        moved[:, i] = self.amount(t) * (X[:, i] - self.centre)
         return moved
 
 
 @dataclass(frozen=True)
-class Twist(Motion):
+class Bend(Timed):
+    """Bent as a part of a bar that becomes a circular arc, cross-sections staying plane.
+
+    Attributes:
+        rate: Curvature by time [1/(m s)]; or a function from time [s] to the curvature [1/m].
+        axis: Of the bar: "x", "y" or "z".
+        towards: The axis to which it bends.
+        centre: A point [m] of the line that keeps its length, where the bar stays as it is, d
+            coordinates; by default the origin.
+    """
+
+    rate: float | Callable[[float], float] | None = None
+    axis: str = "x"
+    towards: str = "y"
+    centre: Sequence[float] | None = None
+
+    def displacement(self, X: Array, t: float) -> Array:
+        """Return the way to (sin(κs)/κ - η sin κs, (1 - cos κs)/κ + η cos κs)."""
+        d = X.shape[1]
+        i, j = axis_number(self.axis, d), axis_number(self.towards, d)
+        if i == j:
+            raise ValueError(f'Bend: axis and towards are both "{self.axis}"')
+        centre = np.zeros(d) if self.centre is None else np.array(self.centre, dtype=float)
+        s, eta = X[:, i] - centre[i], X[:, j] - centre[j]
+        angle = self.amount(t) * s
+        half = s * np.sinc(angle / (2 * np.pi))  # chord of the arc
+        moved = np.zeros_like(X)
+        moved[:, i] = half * np.cos(angle / 2) - eta * np.sin(angle) - s
+        moved[:, j] = half * np.sin(angle / 2) + eta * np.cos(angle) - eta
+        return moved
+
+
+@dataclass(frozen=True)
+class Twist(Timed):
     """Turned as a rigid body about an axis, any number of turns.
 
     Attributes:
@@ -147,7 +252,7 @@ class Twist(Motion):
         centre: A point [m] on the axis, d coordinates; by default the origin.
     """
 
-    rate: float | Callable[[float], float]
+    rate: float | Callable[[float], float] | None = None
     axis: str = "z"
     centre: Sequence[float] | None = None
 
@@ -157,7 +262,7 @@ class Twist(Motion):
         i, j = ((axis_number(self.axis, 3) + k) % 3 for k in (1, 2))
         if max(i, j) >= d:
             raise ValueError(f'Twist: axis is "{self.axis}"; in 2D it must be "z"')
-        angle = _amount(self.rate, t)
+        angle = self.amount(t)
         Q = np.eye(d)
         Q[[i, i, j, j], [i, j, i, j]] = np.cos(angle), -np.sin(angle), np.sin(angle), np.cos(angle)
         centre = np.zeros(d) if self.centre is None else np.array(self.centre, dtype=float)
@@ -175,14 +280,12 @@ def axis_number(name: str, d: int) -> int:
     return AXES.index(name)
 
 
-def _amount(rate: float | Callable[[float], float], t: float) -> float:
-    return rate(t) if callable(rate) else rate * t
-
-
 MOTIONS: dict[str, type[Motion]] = {
     "fixed": Fixed,
     "translate": Translate,
     "stretch": Stretch,
     "twist": Twist,
+    "bend": Bend,
+    "prescribed": Prescribed,
 }
 """Motions by the name that a scene file uses. To add one: `MOTIONS["mine"] = Mine`."""

@@ -14,6 +14,7 @@ from dolfinx.fem import (
     FunctionSpace,
     IntegralType,
     compute_integration_domains,
+    functionspace,
     locate_dofs_topological,
 )
 from dolfinx.mesh import (
@@ -61,6 +62,9 @@ class Body:
     # What `ds` has measured: facets by number. One list serves all measures, as DOLFINx wants.
     _measured: list[tuple[int, Array]] = field(default_factory=list, init=False, repr=False)
     _numbers: dict[Where | None, int] = field(default_factory=dict, init=False, repr=False)
+    # What `dP` has: pairs of a cell and which of its vertices.
+    _summed: list[tuple[int, Array]] = field(default_factory=list, init=False, repr=False)
+    _points: dict[Where, int] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def num_vertices(self) -> int:
@@ -336,6 +340,35 @@ class Body:
             self._measured.append((self._numbers[where], domain))
         return ufl.Measure(
             "ds", self.mesh, subdomain_data=self._measured, subdomain_id=self._numbers[where]
+        )
+
+    def dP(self, where: Where) -> ufl.Measure:
+        """The measure that sums over the vertices in a part of the body, each once. Collective.
+
+        For forces at points: ``inner(force, u) * body.dP(Where(vertices=(7,)))``.
+        Measures of several parts may stand in one form.
+
+        Args:
+            where: The part, see `dofs`.
+
+        Raises:
+            MeshError: As `dofs`.
+        """
+        if where not in self._points:
+            V = functionspace(self.mesh, ("P", 1))
+            blocks = self.dofs(V, where)
+            blocks = blocks[blocks < V.dofmap.index_map.size_local]
+            corners = [
+                V.dofmap.dof_layout.entity_dofs(0, k)[0] for k in range(V.dofmap.list.shape[1])
+            ]
+            table = V.dofmap.list[:, corners].ravel()
+            found, first = np.unique(table, return_index=True)
+            cells, vertices = np.divmod(first[np.isin(found, blocks)], len(corners))
+            pairs = np.stack([cells, vertices], axis=1).astype(np.int32)
+            self._points[where] = len(self._summed) + 1
+            self._summed.append((self._points[where], pairs.ravel()))
+        return ufl.Measure(
+            "dP", self.mesh, subdomain_data=self._summed, subdomain_id=self._points[where]
         )
 
     def _vertex_blocks(

@@ -23,6 +23,7 @@ from forms import (
     MOTIONS,
     SCHEMES,
     Gravity,
+    HalfSpace,
     Load,
     Material,
     Motion,
@@ -333,13 +334,17 @@ def _boundary(table: Table) -> Boundary:
 
 
 def _loads(root: Table) -> tuple[Loading, ...]:
-    """Gravity of a table [load], or what the tables [[load]] say."""
+    """Gravity of a table [load], or what the tables [[load]] say, then each [[contact]]."""
+    contacts = tuple(
+        Loading(table.place, keys.made(table, HalfSpace)) for table in root.tables("contact")
+    )
     if isinstance(root.data.get("load"), list):
-        return tuple(_load(table) for table in root.tables("load"))
+        return tuple(_load(table) for table in root.tables("load")) + contacts
     table = root.table("load", required=False)
     gravity = table.numbers("gravity", ())
     table.close()
-    return (Loading(f"{table.place} gravity", Gravity(gravity)),) if gravity else ()
+    weight = (Loading(f"{table.place} gravity", Gravity(gravity)),) if gravity else ()
+    return weight + contacts
 
 
 def _load(table: Table) -> Loading:

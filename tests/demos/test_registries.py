@@ -325,10 +325,53 @@ def test_gravity_among_several_loads():
     assert largest(u - other) < 1e-12
 
 
+def test_a_motion_by_a_table_that_halts():
+    """There and half the way back, then no further: the same strain by either spelling."""
+    for amount in (
+        "table = [[0.0, 0.0], [1.5, 0.3], [2.0, 0.2], [2.5, 0.2]]",
+        "rate = 0.2\nend = 1.0",
+    ):
+        simulation, u = final(inside(("rate = 0.1", amount), ("steps = 2", "steps = 3")))
+        X = simulation.model.u.function_space.tabulate_dof_coordinates()
+        np.testing.assert_allclose(u.reshape(-1, 2)[:, 0], 0.2 * X[:, 0], rtol=0, atol=1e-9)
+
+
+RESTING = """\
+[[contact]]
+plane = [0.0, 2.0]
+offset = -0.25
+stiffness = 1e3
+[[load]]
+kind = "gravity"
+g = [0.0, -0.5]
+[[load]]
+kind = "point-force"
+where = { x = "max", y = "max" }
+force = [0.0, -0.5]
+[time]
+"""
+
+
+def test_a_block_comes_to_rest_on_a_floor():
+    """Which then carries its weight and what is put on it: k ∫ depth dA = 2 N + ½ N."""
+    text = INSIDE.replace('"static"', '"backward-euler"').replace("steps = 2", "steps = 40")
+    text = text.replace('where = { y = "min" }\nmotion = "fixed"\ncomponents = ["y"]', "")
+    start, end = text.index('[[boundary]]\nwhere = { x = "min"'), text.index("[time]\n")
+    held = '[[boundary]]\nwhere = { x = "min" }\nmotion = "fixed"\ncomponents = "x"\n'
+    text = text[:start] + held + RESTING + text[end + len("[time]\n") :]
+    simulation, _ = final(parse(text, Path("resting.toml")))
+    msh, u = simulation.body.mesh, simulation.model.u
+    depth = -0.25 - ufl.SpatialCoordinate(msh)[1] - u[1]
+    carried = ufl.conditional(ufl.gt(depth, 0.0), 1e3 * depth, 0.0) * ufl.ds
+    force = COMM.allreduce(fem.assemble_scalar(fem.form(carried)))
+    assert force == pytest.approx(2.5, rel=1e-3)
+    assert simulation.energies().kinetic < 1e-6
+
+
 STRETCH = 'motion = "stretch"'
 WRONG = [
-    ("rate = 0.1", "", "[[boundary]] 3: misses the key rate"),
-    ("rate = 0.1", "rat = 0.1", "[[boundary]] 3: misses the key rate (is rat meant?)"),
+    ("rate = 0.1", "", "[[boundary]] 3: needs either a rate or a table"),
+    ("rate = 0.1", "rat = 0.1", "[[boundary]] 3: unknown key rat (did you mean rate?)"),
     (
         "rate = 0.1",
         "rate = 1\nspeed = 1",
@@ -366,7 +409,11 @@ WRONG = [
     ),
     ('{ y = "max" }', '{ tag = "top" }', '[[load]]: { tag = "top" }: the mesh has no such tag'),
     ('{ y = "max" }', '"top"', "[[load]]: where: must be a table such as"),
-    ('"traction"', '"body-force"', 'kind = "body-force": unknown; available: gravity, traction'),
+    (
+        '"traction"',
+        '"body-force"',
+        'kind = "body-force": unknown (did you mean point-force?); available: gravity',
+    ),
     ("[[load]]", "[load]", "[load]: unknown key kind; known: gravity"),
     ('"static"', '"statics"', '[time] scheme = "statics": unknown (did you mean static?); availab'),
     ("rho = 2.0", "rho = 2.0\nb = 1", "[[material]]: unknown key b; known: name, E, nu, rho"),

@@ -13,8 +13,10 @@ from dolfinx import fem, la, mesh
 from forms import (
     BodyForce,
     Gravity,
+    HalfSpace,
     ImplicitMidpoint,
     Model,
+    PointForce,
     Pressure,
     StableNeoHookean,
     Static,
@@ -63,6 +65,42 @@ def test_resultants(d):
     np.testing.assert_allclose(force(energy, u), 0.0, atol=1e-14)
     growing.set_time(2.0)
     np.testing.assert_allclose(force(energy, u), 2.0 * SIZE[0] / 2 * volume * axis[0], atol=1e-14)
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("d", [2, 3])
+def test_a_force_on_points(d, degree):
+    """The same on each vertex of an edge of the body, once, and its work by what they move."""
+    body = bar(d)
+    u = displacement_field(body.mesh, degree)
+    u.interpolate(lambda X: np.array([X[1] ** 2, X[0], X[0] + X[1]][:d]))
+    edge = Where(extents=(("x", "max"), ("y", "max")))
+    f = np.array((1.0, -9.81, 2.0)[:d])
+    energy = PointForce(tuple(f), edge).energy(body, u, None)
+    vertices = 3 if d == 3 else 1
+    np.testing.assert_allclose(force(energy, u), vertices * f)
+    assert total(energy) == pytest.approx(-vertices * f @ np.array((1.0, 2.0, 3.0)[:d]))
+    other = PointForce(tuple(f), Where(extents=(("x", "min"), ("y", "min")))).energy(body, u, None)
+    np.testing.assert_allclose(force(energy + other, u), 2 * vertices * f)
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_a_half_space_pushes_back_by_depth(d):
+    """Along its normal, on the part within; nothing beside it."""
+    body = bar(d)
+    u = displacement_field(body.mesh)
+    area = float(np.prod(SIZE[1:d]))
+    load = HalfSpace((0.0, -3.0, 0.0)[:d], stiffness=50.0, offset=lambda t: -0.9 - t, where=TOP)
+    energy = load.energy(body, u, None)
+    within = -50.0 * 0.1 * SIZE[0] * area / SIZE[1] * np.eye(d)[1]
+    np.testing.assert_allclose(force(energy, u), within, atol=1e-12)
+    load.set_time(0.2)
+    assert total(energy) == 0.0
+    u.interpolate(lambda X: 0.3 + 0.0 * X[:d])
+    top = HalfSpace((0.0, -1.0, 0.0)[:d], stiffness=50.0, offset=-1.1, where=TOP)
+    pushed = force(top.energy(body, u, None), u)
+    expected = -50.0 * 0.2 * SIZE[0] * area / SIZE[1] * np.eye(d)[1]
+    np.testing.assert_allclose(pushed, expected, atol=1e-12)
 
 
 @pytest.mark.parametrize("d", [2, 3])
@@ -217,6 +255,9 @@ def test_model_takes_loads_at_the_point_of_the_step():
         (Gravity((0.0, -9.81, 0.0)), "Gravity: g must be 2 numbers, as the body has dimens"),
         (Traction(1.0, TOP), "Traction: value must be 2 numbers"),
         (Pressure((1.0, 2.0), TOP), "Pressure: value must be one number"),
+        (HalfSpace((0.0, 1.0, 0.0), 1.0), "HalfSpace: plane must be a normal of 2 numbers"),
+        (HalfSpace((0.0, 0.0), 1.0), "HalfSpace: plane must be a normal of 2 numbers, not all 0"),
+        (PointForce(1.0, TOP), "PointForce: force must be 2 numbers"),
         (Gravity((0.0, -9.81)), "Gravity needs a density; give the model one"),
     ],
 )

@@ -11,9 +11,11 @@ from scipy.optimize import brentq
 
 from forms import (
     AsRigidAsPossible,
+    Bend,
     Fixed,
     Model,
     NeoHookean,
+    Prescribed,
     Static,
     Stretch,
     Translate,
@@ -70,7 +72,37 @@ CASES = [
             ]
         ),
     ),
+    (2, Translate(end("x"), (1.0, 0.0), start=0.2), lambda X: 0 * X + np.array([[0.3], [0.0]])),
+    (2, Translate(end("x"), (1.0, 0.0), end=0.2), lambda X: 0 * X + np.array([[0.2], [0.0]])),
+    (2, Translate(end("x"), (1.0, 0.0), start=0.6), lambda X: 0 * X),
+    (
+        2,
+        Translate(end("x"), table=[(0.0, 0.0, 0.0), (1.0, 1.0, 4.0)]),
+        lambda X: 0 * X + np.array([[0.5], [2.0]]),
+    ),
+    (2, Stretch(end("x"), table=[(0.1, 0.0), (0.3, 0.4)]), lambda X: 0.4 * X * [[1.0], [0.0]]),
+    (2, Prescribed(end("x"), lambda X, t: t * X**2), lambda X: 0.5 * X**2),
+    # Half a circle of radius 2/π, its centre at (0, 2/π); fibres above the axis are shorter.
+    (
+        2,
+        Bend(end("x"), np.pi),
+        lambda X: np.array([-2.0 + 0 * X[0], 4 / np.pi - 2 * X[1]]),
+    ),
+    (3, Bend(end("x"), 0.0, towards="z"), lambda X: 0 * X),
 ]
+
+
+@pytest.mark.parametrize("curvature", [1e-9, 0.3, 2.0])
+def test_a_bent_bar_keeps_the_length_of_its_axis_and_its_sections(curvature):
+    """And the angle between them: det F = 1 - κη by differences."""
+    X, step = np.array([[0.7, 0.3, -0.2]]), 1e-6
+    bend = Bend(end("x"), curvature, "x", "z", centre=(0.2, 0.0, 0.1))
+    x = lambda X: X + bend.displacement(X, 1.0)  # noqa: E731
+    F = np.array([(x(X + step * e) - x(X - step * e))[0] / (2 * step) for e in np.eye(3)]).T
+    C = F.T @ F
+    eta = X[0, 2] - 0.1
+    np.testing.assert_allclose(C, np.diag([(1 - curvature * eta) ** 2, 1.0, 1.0]), atol=1e-8)
+    assert np.linalg.det(F) == pytest.approx(1 - curvature * eta, abs=1e-8)
 
 
 @pytest.mark.parametrize("degree", [1, 2])
@@ -168,6 +200,8 @@ def test_a_turn_without_strain():
         (Stretch(end("x"), 1.0, "z"), ValueError, 'axis is "z"; in 2D it must be one of x, y'),
         (Twist(end("x"), 1.0, "x"), ValueError, 'Twist: axis is "x"; in 2D it must be "z"'),
         (Twist(end("x"), 1.0, "a"), ValueError, 'axis is "a"; in 3D it must be one of x, y, z'),
+        (Bend(end("x"), 1.0, "y"), ValueError, 'Bend: axis and towards are both "y"'),
+        (Stretch(end("x"), table=[(0, 1, 2)]), ValueError, "Stretch needs one number at a time"),
         (Translate(end("x"), (1.0,)), ValueError, "rate has 1 components; the body lives in 2D"),
         (Fixed(end("z")), MeshError, "the mesh is 2D and has no z axis"),
     ],
@@ -176,3 +210,19 @@ def test_what_is_refused(motion, error, message):
     body = bar(2)
     with pytest.raises(error, match=message):
         motion.hold(body, fem.functionspace(body.mesh, ("P", 1, (2,))))
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ({}, "needs either a rate or a table"),
+        ({"rate": 1.0, "table": [(0.0, 1.0)]}, "needs either a rate or a table"),
+        ({"rate": 1.0, "start": 2.0, "end": 1.0}, "end is 1 s, before start, 2 s"),
+        ({"table": [(0.0,)]}, "table must have rows"),
+        ({"table": [(0.0, 1.0), (0.0, 2.0)]}, "table must have rows .* of growing times"),
+        ({"table": [(0.0, 1.0), (1.0, 2.0, 3.0)]}, "table must have rows"),
+    ],
+)
+def test_what_no_motion_can_be(keys, message):
+    with pytest.raises(ValueError, match=message):
+        Stretch(end("x"), **keys)

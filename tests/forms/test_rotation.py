@@ -136,7 +136,7 @@ CANCELLING = [
 def test_where_there_are_many_rotations(one_cell, sigma):
     """One of those that maximise tr RᵀF, and derivatives that are finite."""
     d = one_cell.d
-    sigma = np.array((sigma[0], -sigma[0]) if d == 2 else sigma)
+    sigma = np.array((sigma[0], -sigma[0]) if d == 2 else sigma, dtype=float)
     U, V = (svd_polar(np.random.default_rng(k).normal(size=(d, d)))[0] for k in (1, 2))
     F = U @ np.diag(sigma) @ V.T
     for R, S in zip(*one_cell.evaluate(F), strict=True):
