@@ -344,6 +344,7 @@ def test_midpoint_keeps_the_angular_momentum(scheme, kept):
 # Ψ at another point than the end of the step
 
 
+@pytest.mark.serial
 @pytest.mark.parametrize(
     ("formulation", "d"),
     [("symmetric", 3), ("displacement", 3), ("log-strain", 2), ("rotation-field", 2)],
