@@ -86,7 +86,7 @@ class Descent(Strategy):
             return False
         while slope < 0.0:
             if t := self._search(x, y, slope):
-                return t < 1.0 or not newton.alone
+                return t != 1.0 or not newton.alone
             # A body that turns has rounding errors that it does not have at rest.
             noise = self._rounding(x)
             if noise <= self._noise:
