@@ -129,9 +129,11 @@ REMARKS: tuple[Remark, ...] = (
         "section 5",
         (41,),
         "The various numerical methods: todo",
-        "demos/block_preconditioners.py goes from (35) to (41) and on to the matrix of the "
-        "displacement alone, by options of PETSc's field splits, and holds each matrix against a "
-        "Schur complement; demos/reformulate.py runs one energy with every solver.",
+        "demos/numerical_methods.py is that section: (35) by LU, its Schur complements, static "
+        "condensation, Gauss-Newton, a lagged rotation, the displacement alone, globalisations, a "
+        "constant matrix; what each costs, and where it fails. demos/block_preconditioners.py goes "
+        "from (35) to (41) and on to the matrix of the displacement alone, by options of PETSc's "
+        "field splits, and holds each matrix against a Schur complement.",
     ),
 )
 """In the order of the seed, then those without bold face."""
