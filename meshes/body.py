@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -43,6 +43,14 @@ Array = npt.NDArray[Any]
 
 
 @dataclass(frozen=True)
+class _Measured:
+    """What a kind of measure is over, by number. One list serves all, as DOLFINx wants."""
+
+    domains: list[tuple[int, Array]] = field(default_factory=list)
+    numbers: dict[Where | None, int] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class Body:
     """A mesh in d = 2 or 3 dimensions, distributed with one ghost layer.
 
@@ -59,12 +67,8 @@ class Body:
     mesh: Mesh[np.float64]
     cell_tags: MeshTags
     groups: Mapping[str | int, Group] = field(default_factory=dict)
-    # What `ds` has measured: facets by number. One list serves all measures, as DOLFINx wants.
-    _measured: list[tuple[int, Array]] = field(default_factory=list, init=False, repr=False)
-    _numbers: dict[Where | None, int] = field(default_factory=dict, init=False, repr=False)
-    # What `dP` has: pairs of a cell and which of its vertices.
-    _summed: list[tuple[int, Array]] = field(default_factory=list, init=False, repr=False)
-    _points: dict[Where, int] = field(default_factory=dict, init=False, repr=False)
+    _facets: _Measured = field(default_factory=_Measured, init=False, repr=False)
+    _vertices: _Measured = field(default_factory=_Measured, init=False, repr=False)
 
     @property
     def num_vertices(self) -> int:
@@ -332,15 +336,7 @@ class Body:
         Raises:
             MeshError: As `facets`.
         """
-        if where not in self._numbers:
-            domain = compute_integration_domains(
-                IntegralType.exterior_facet, self.mesh.topology, self.facets(where)
-            )
-            self._numbers[where] = len(self._measured) + 1
-            self._measured.append((self._numbers[where], domain))
-        return ufl.Measure(
-            "ds", self.mesh, subdomain_data=self._measured, subdomain_id=self._numbers[where]
-        )
+        return self._measure("ds", self._facets, where, self._facet_domain)
 
     def dP(self, where: Where) -> ufl.Measure:
         """The measure that sums over the vertices in a part of the body, each once. Collective.
@@ -354,22 +350,39 @@ class Body:
         Raises:
             MeshError: As `dofs`.
         """
-        if where not in self._points:
-            V = functionspace(self.mesh, ("P", 1))
-            blocks = self.dofs(V, where)
-            blocks = blocks[blocks < V.dofmap.index_map.size_local]
-            corners = [
-                V.dofmap.dof_layout.entity_dofs(0, k)[0] for k in range(V.dofmap.list.shape[1])
-            ]
-            table = V.dofmap.list[:, corners].ravel()
-            found, first = np.unique(table, return_index=True)
-            cells, vertices = np.divmod(first[np.isin(found, blocks)], len(corners))
-            pairs = np.stack([cells, vertices], axis=1).astype(np.int32)
-            self._points[where] = len(self._summed) + 1
-            self._summed.append((self._points[where], pairs.ravel()))
+        return self._measure("dP", self._vertices, where, self._vertex_domain)
+
+    def _measure[W: Where | None](
+        self, kind: str, measured: _Measured, where: W, domain: Callable[[W], Array]
+    ) -> ufl.Measure:
+        if where not in measured.numbers:
+            entities = domain(where)
+            measured.numbers[where] = len(measured.domains) + 1
+            measured.domains.append((measured.numbers[where], entities))
         return ufl.Measure(
-            "dP", self.mesh, subdomain_data=self._summed, subdomain_id=self._points[where]
+            kind,
+            self.mesh,
+            subdomain_data=measured.domains,
+            subdomain_id=measured.numbers[where],
         )
+
+    def _facet_domain(self, where: Where | None) -> Array:
+        """Pairs of a cell and which of its facets."""
+        facets = self.facets(where)
+        domain = compute_integration_domains(
+            IntegralType.exterior_facet, self.mesh.topology, facets
+        )
+        return np.asarray(domain)
+
+    def _vertex_domain(self, where: Where) -> Array:
+        """Pairs of a cell and which of its vertices, one for each that this rank owns."""
+        V = functionspace(self.mesh, ("P", 1))
+        chosen = self.dofs(V, where)
+        chosen = chosen[chosen < V.dofmap.index_map.size_local]
+        blocks, _ = self._vertex_blocks(V)
+        found, first = np.unique(blocks, return_index=True)
+        cells, vertices = np.divmod(first[np.isin(found, chosen)], V.dofmap.list.shape[1])
+        return np.stack([cells, vertices], axis=1).astype(np.int32).ravel()
 
     def _vertex_blocks(
         self, V: FunctionSpace[Any]
