@@ -1,9 +1,10 @@
-"""UFL expressions at points of a cell, compiled once for all that are alike."""
+"""UFL expressions at points of cells, compiled once for all that are alike."""
 
 from __future__ import annotations
 
 from typing import Any
 
+import basix
 import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
@@ -11,6 +12,9 @@ from ufl.core.expr import Expr
 from ufl.corealg.map_dag import map_expr_dag
 from ufl.corealg.multifunction import MultiFunction
 from ufl.variable import Label, Variable
+
+from forms.cell_data import refresh
+from forms.points import quadrature_degree
 
 
 def at_points(expression: Expr, points: npt.NDArray[np.float64]) -> fem.Expression:
@@ -25,6 +29,37 @@ def at_points(expression: Expr, points: npt.NDArray[np.float64]) -> fem.Expressi
         points: Shape (points, dimension of the cell).
     """
     return fem.Expression(map_expr_dag(_Relabelled(), expression), points)
+
+
+class PointValues:
+    """An expression at the points of the owned cells at which cell-local fields live.
+
+    Attributes:
+        weights: Of the points of a cell; their sum is the volume of the reference cell.
+    """
+
+    def __init__(self, expression: Expr, u: fem.Function[Any]) -> None:
+        """Compile the expression.
+
+        Args:
+            expression: Of a displacement and other fields.
+            u: The displacement.
+        """
+        self._mesh, self._expression = u.function_space.mesh, expression
+        points, self.weights = (
+            np.array(a, dtype=np.float64)
+            for a in basix.make_quadrature(
+                self._mesh.basix_cell(), quadrature_degree(u.function_space)
+            )
+        )
+        self._compiled = at_points(expression, points)
+        cells = self._mesh.topology.index_map(self._mesh.topology.dim).size_local
+        self._cells = np.arange(cells, dtype=np.int32)
+
+    def now(self) -> npt.NDArray[np.float64]:
+        """Return the present values, shape (owned cells, points, *shape of the expression)."""
+        refresh([self._expression])
+        return np.asarray(self._compiled.eval(self._mesh, self._cells), dtype=np.float64)
 
 
 class _Relabelled(MultiFunction):

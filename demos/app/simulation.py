@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
 from mpi4py import MPI
 
-import basix
 import numpy as np
 import numpy.typing as npt
 import ufl
@@ -26,11 +26,9 @@ from forms import (
     by_tag,
     cell_values,
     displacement_field,
-    quadrature_degree,
-    refresh,
     von_mises_stress,
 )
-from forms.expressions import at_points
+from forms.expressions import PointValues
 from forms.materials import StrainEnergy
 from meshes import (
     Body,
@@ -86,15 +84,24 @@ def _check_parts(scene: Scene, body: Body) -> None:
     u = displacement_field(body.mesh)
     v = ufl.TestFunction(u.function_space)
     rho = fem.Constant(body.mesh, 1.0)
-    place = ""
-    try:
-        for boundary in scene.boundaries:
-            place = boundary.place
+    for boundary in scene.boundaries:
+        with _told_at(scene, boundary.place):
             boundary.motion.hold(body, u.function_space)
-        for given in scene.loads:
-            place = given.place
+    for given in scene.loads:
+        with _told_at(scene, given.place):
             given.load.energy(body, u, rho)
             given.load.work(body, u, v)
+
+
+@contextmanager
+def _told_at(scene: Scene, place: str) -> Iterator[None]:
+    """Say of what is refused where in the scene it is asked for.
+
+    Raises:
+        SceneError: In the place of a ValueError.
+    """
+    try:
+        yield
     except ValueError as e:
         raise SceneError(f"{scene.source}: {place}: {e}") from e
 
@@ -126,7 +133,8 @@ class Simulation:
         h = fem.Constant(body.mesh, scene.h)
         psi, rho, histories, moduli = _material(scene, body, h)
         damping = replace(scene.damping, moduli=moduli)
-        try:
+        told_formulation = f'[solve] formulation = "{formulation}"'
+        with _told_at(scene, told_formulation):
             self.model = Model(
                 body,
                 formulation,
@@ -138,35 +146,22 @@ class Simulation:
                 damping=damping,
                 degree=scene.degree,
             )
-        except ValueError as e:
-            message = f'[solve] formulation = "{formulation}": {e}'
-            raise SceneError(f"{scene.source}: {message}") from e
-        try:
+        with _told_at(scene, "[time]"):
             self.scheme = SCHEMES[scene.scheme](self.model.u, h, **scene.scheme_keys)
-        except ValueError as e:
-            raise SceneError(f"{scene.source}: [time]: {e}") from e
-        try:
+        with _told_at(scene, "[start]"):
             scene.start(self.model, self.scheme, body, scene.folder)
-        except ValueError as e:
-            raise SceneError(f"{scene.source}: [start]: {e}") from e
-        try:
+        with _told_at(scene, told_formulation):
             energy = self.model.energy(self.scheme)
-        except ValueError as e:
-            message = f'[solve] formulation = "{formulation}": {e}'
-            raise SceneError(f"{scene.source}: {message}") from e
         self.fields = self.model.fields
-        globalisation = scene.globalisation if formulation == scene.formulation else None
-        try:
+        with _told_at(scene, f'[solve] solver = "{scene.solver}"'):
             self.problem = MixedProblem(
                 energy,
                 self.fields,
                 self.model.bcs,
                 work=self.model.virtual_work(self.scheme),
                 solver=scene.solver,
-                globalisation=globalisation,
+                globalisation=scene.globalisation if formulation == scene.formulation else None,
             )
-        except ValueError as e:
-            raise SceneError(f'{scene.source}: [solve] solver = "{scene.solver}": {e}') from e
         self._control = scene.control
         self._energies = self.model.energies(self.scheme)
         u, stretch = self.model.u, self.model.stretch(self.scheme)
@@ -209,23 +204,12 @@ class CellMeans:
             expression: Of the fields of a formulation.
             u: The displacement among them.
         """
-        self._mesh, self._expression = u.function_space.mesh, expression
-        points, weights = (
-            np.array(a, dtype=np.float64)
-            for a in basix.make_quadrature(
-                self._mesh.basix_cell(), quadrature_degree(u.function_space)
-            )
-        )
-        self._weights = weights / weights.sum()
-        self._compiled = at_points(expression, points)
-        cells = self._mesh.topology.index_map(self._mesh.topology.dim).size_local
-        self._cells = np.arange(cells, dtype=np.int32)
+        self._points = PointValues(expression, u)
 
     def values(self) -> npt.NDArray[np.float64]:
         """Present means, shape (owned cells, *shape of the expression)."""
-        refresh([self._expression])
-        values = self._compiled.eval(self._mesh, self._cells)
-        return np.asarray(np.einsum("q,kq...->k...", self._weights, values), dtype=np.float64)
+        weights = self._points.weights / self._points.weights.sum()
+        return np.einsum("q,kq...->k...", weights, self._points.now())
 
 
 def _material(
