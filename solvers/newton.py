@@ -77,23 +77,6 @@ class Newton:
         self._choose_step = weakly(strategy.before_step)
         self.snes.setLineSearchPreCheck(weakly(self._before_step))
 
-    def require_descent(self, name: str, *, alone: bool) -> None:
-        """Insist on a system with an energy to go down on.
-
-        Args:
-            name: Of the strategy.
-            alone: Whether the displacement must be the only field.
-
-        Raises:
-            ValueError: There is none, or no tangent that is positive semi-definite.
-        """
-        if alone and not self.alone:
-            raise ValueError(f"globalisation {name!r} needs the displacement alone as field")
-        if not self.system.descends:
-            raise ValueError(
-                f"globalisation {name!r} goes down on the energy: it needs the engine and no work"
-            )
-
     def monitor(self, *, newton: bool, krylov: bool) -> None:
         """Print the residual norm of each field at each Newton iteration, at each Krylov one."""
         if newton:

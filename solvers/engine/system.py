@@ -28,8 +28,10 @@ Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int32]
 
 MOST_RELAXATIONS = 30
-MOST_HALVINGS = 50
 """Iterations of Newton's method for the local unknowns of a cell."""
+
+MOST_HALVINGS = 50
+"""Of the way of the local unknowns of a cell to where the energy has no value."""
 
 
 class _Unassembled:

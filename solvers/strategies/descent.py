@@ -41,7 +41,11 @@ class Descent(Strategy):
     def attach(self, newton: Newton) -> None:
         """Insist on an energy."""
         super().attach(newton)
-        newton.require_descent(self.name, alone=self.alone)
+        name = f"globalisation {self.name!r}"
+        if self.alone and not newton.alone:
+            raise ValueError(f"{name} needs the displacement alone as field")
+        if not newton.system.descends:
+            raise ValueError(f"{name} goes down on the energy: it needs the engine and no work")
         assert isinstance(newton.system, EngineProblem)  # no other can
         self.system = newton.system
         self._trial, self._slopes = newton.vector(), newton.vector()
@@ -156,14 +160,13 @@ class Descent(Strategy):
         return abs(change) <= self._noise + ROUNDING * abs(self.energy)
 
     def _rounding(self, x: PETSc.Vec) -> float:
-        """What rounding of positions does to the energy [J], at scaled unknowns. Collective."""
+        """What rounding of positions does to the energy [J], at the scaled unknowns. Collective."""
         newton = self.newton
-        energy = newton.merit(x)
         x.copy(self._trial)
         size = newton.system.unknowns.round_off(x) / max(np.sqrt(x.getSize()), 1.0)
         first, last = x.getOwnershipRange()
         self._trial.array_w[:] += size * (-1.0) ** np.arange(first, last)
-        change = newton.merit(self._trial) - energy
+        change = newton.merit(self._trial) - self.energy
         return 100 * abs(change) if np.isfinite(change) else 0.0
 
 
