@@ -6,6 +6,7 @@ solvers derive the Newton system from its integral.
 
 from mpi4py import MPI  # noqa: F401  (with the PyPI wheel MPI must be imported before DOLFINx)
 
+from forms.account import Account, Balance
 from forms.cell_data import (
     CellData,
     CellFunction,
@@ -99,8 +100,10 @@ __all__ = [
     "MATERIALS",
     "MOTIONS",
     "SCHEMES",
+    "Account",
     "AsRigidAsPossible",
     "BackwardEuler",
+    "Balance",
     "Bend",
     "BodyForce",
     "CellData",

@@ -55,6 +55,7 @@ class Model:
         loads: The loads.
         histories: The history variables.
         damping: Rayleigh damping, or None.
+        held: The motions of this displacement.
         bcs: The Dirichlet conditions of all motions.
     """
 
@@ -112,8 +113,8 @@ class Model:
             self.histories.append(History(self._S_old, Model.stretch))
         self._inverted = None if self.form.sees_inversion else InvertedCells(self.u)
         self._known_inverted = 0
-        self._held = [motion.hold(body, self.u.function_space) for motion in motions]
-        self.bcs: list[fem.DirichletBC] = [bc for held in self._held for bc in held.bcs]
+        self.held = [motion.hold(body, self.u.function_space) for motion in motions]
+        self.bcs: list[fem.DirichletBC] = [bc for held in self.held for bc in held.bcs]
 
     def energy(self, scheme: Scheme) -> ufl.Form:
         """Return what a step makes stationary [J], a functional of the fields.
@@ -131,7 +132,8 @@ class Model:
         energy = self.form.density(u, *self.fields[1:], self.psi) * measure(self.u)
         if scheme.inertial:
             energy += scheme.kinetic(self._density(scheme)) * ufl.dx
-        return sum((*self._potentials(u), *self._dissipations(scheme)), energy)
+        damping = [term for term in self.damping_potentials(scheme) if term is not None]
+        return sum((*self.potentials(u), *damping), energy)
 
     def virtual_work(self, scheme: Scheme) -> ufl.Form | None:
         """Return the work [J] that loads without a potential do on a test function of u.
@@ -147,7 +149,7 @@ class Model:
 
     def update(self, scheme: Scheme) -> None:
         """Put motions at the end of the coming step, and loads where the scheme takes them."""
-        for held in self._held:
+        for held in self.held:
             held.set_time(scheme.end)
         for load in self.loads:
             load.set_time(scheme.point_time)
@@ -202,30 +204,29 @@ class Model:
         if scheme.inertial:
             kinetic = scheme.kinetic_energy(self._density(scheme)) * ufl.dx
         elastic = self.psi(self.stretch(scheme)) * measure(self.u)
-        potentials = self._potentials(self.u)
+        potentials = self.potentials(self.u)
         potential = sum(potentials[1:], potentials[0]) if potentials else None
         return EnergyIntegrals(self.body.mesh.comm, (kinetic, elastic, potential))
 
     def _all_at_end(self, scheme: Scheme) -> bool:
         return len(self.fields) == 1 or scheme.point(self.u) is self.u
 
-    def _potentials(self, u: Expr) -> list[ufl.Form]:
+    def potentials(self, u: Expr) -> list[ufl.Form]:
+        """Return the potential energies of loads [J], at a displacement u [m]."""
         terms = [load.energy(self.body, u, self.rho) for load in self.loads]
         return [term for term in terms if term is not None]
 
-    def _dissipations(self, scheme: Scheme) -> list[ufl.Form]:
-        """Potentials of dissipation."""
-        terms: list[ufl.Form] = []
-        if self.damping is None:
-            return terms
-        if self.damping.mass > 0.0:
-            terms.append(self.damping.of_mass(scheme, self._density(scheme)) * ufl.dx)
-        if self._S_old is not None:
+    def damping_potentials(self, scheme: Scheme) -> tuple[ufl.Form | None, ufl.Form | None]:
+        """Return the potentials of damping by inertia and by stiffness [J], see `Rayleigh`."""
+        of_mass, of_stiffness = None, None
+        if self.damping is not None and self.damping.mass > 0.0:
+            of_mass = self.damping.of_mass(scheme, self._density(scheme)) * ufl.dx
+        if self.damping is not None and self._S_old is not None:
             S = self.form.stretch(scheme.point(self.u), *self.fields[1:])
             moduli = self.damping.moduli or self.psi.rest  # type: ignore[attr-defined]
             viscous = self.damping.of_stiffness(scheme, S, self._S_old, moduli)
-            terms.append(viscous * measure(self.u))
-        return terms
+            of_stiffness = viscous * measure(self.u)
+        return of_mass, of_stiffness
 
     def _density(self, scheme: Scheme) -> Expr:
         if self.rho is None:

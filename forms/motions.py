@@ -62,27 +62,31 @@ class Held:
 
     Attributes:
         bcs: Dirichlet conditions, whose values `set_time` changes in place.
+        components: Numbers of the axes along which the part is held.
+        blocks: Its nodes, as blocks of d degrees of freedom, ghosts included.
     """
 
     def __init__(self, motion: Motion, body: BodyLike, V: fem.FunctionSpace) -> None:
         d = V.dofmap.bs
         self._motion = motion
         self._values: fem.Function = fem.Function(V)
-        self._blocks = body.dofs(V, motion.where)
-        self._X = V.tabulate_dof_coordinates()[self._blocks, :d]
+        self.blocks = body.dofs(V, motion.where)
+        self._X = V.tabulate_dof_coordinates()[self.blocks, :d]
         self.bcs: list[fem.DirichletBC] = []
+        self.components = list(range(d))
         if motion.components is None:
-            self.bcs.append(fem.dirichletbc(self._values, self._blocks))
+            self.bcs.append(fem.dirichletbc(self._values, self.blocks))
         else:
-            for i in sorted({axis_number(name, d) for name in motion.components}):
-                dofs: Any = [d * self._blocks + i] * 2  # in V.sub(i), and in the values
+            self.components = sorted({axis_number(name, d) for name in motion.components})
+            for i in self.components:
+                dofs: Any = [d * self.blocks + i] * 2  # in V.sub(i), and in the values
                 self.bcs.append(fem.dirichletbc(self._values, dofs, V.sub(i)))
         self.set_time(0.0)
 
     def set_time(self, t: float) -> None:
         """Move to time t [s]."""
         values = self._values.x.array.reshape(-1, self._X.shape[1])
-        values[self._blocks] = self._motion.displacement(self._X, t)
+        values[self.blocks] = self._motion.displacement(self._X, t)
 
 
 @dataclass(frozen=True)

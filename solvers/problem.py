@@ -245,6 +245,17 @@ class MixedProblem:
             raise ConvergenceError(result)
         return NewtonStep(tuple(changes), result)
 
+    def unbalanced_forces(self) -> npt.NDArray[np.float64]:
+        """Return the derivative of energy less work by the displacement [N]. Collective.
+
+        In a solution it vanishes but where a Dirichlet condition holds the body: there it is the
+        force that the condition exerts, times θ with a scheme that takes Ψ at θ in the step.
+
+        Returns:
+            A number for each local degree of freedom of the displacement, ghosts included.
+        """
+        return self.system.unbalanced()
+
     def refresh(self) -> None:
         """Recompute all per-cell data from the current fields, for evaluating an expression."""
         for data in self._cell_data:

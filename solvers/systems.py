@@ -13,7 +13,7 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 import ufl
-from dolfinx import fem
+from dolfinx import fem, la
 from dolfinx.fem.petsc import NonlinearProblem
 from ufl.algorithms import expand_derivatives
 from ufl.corealg.dag_traverser import DAGTraverser
@@ -71,6 +71,13 @@ class System(Protocol):
 
     def energy(self) -> float:
         """The energy [J]. Collective."""
+
+    def unbalanced(self) -> Floats:
+        """The derivative of energy less work by the displacement, without conditions. Collective.
+
+        Returns:
+            A force [N] for each local degree of freedom, ghosts included.
+        """
 
     def rescale(self, scales: Floats) -> None:
         """Give units to unknowns that had none, and to the Jacobian last assembled."""
@@ -174,6 +181,19 @@ class AssembledSystem:
         refresh([self._energy])
         local = float(np.real(fem.assemble_scalar(self._compiled_energy)))
         return float(self.unknowns.layout.comm.allreduce(local))
+
+    def unbalanced(self) -> Floats:
+        """The derivative of energy less work by the displacement, without conditions. Collective.
+
+        Returns:
+            A force [N] for each local degree of freedom, ghosts included.
+        """
+        for data in self.data:
+            data.refresh()
+        forces = fem.assemble_vector(self.problem.F[0])
+        forces.scatter_reverse(la.InsertMode.add)
+        forces.scatter_forward()
+        return np.asarray(forces.array, dtype=np.float64)
 
     def rescale(self, scales: Floats) -> None:
         """Give units to unknowns that had none, and to the Jacobian last assembled."""

@@ -26,6 +26,7 @@ from solvers import SolveResult
 
 _STEP = ("step", "time", "newton_iterations", "krylov_iterations")
 _ENERGIES = ("kinetic_energy", "elastic_energy", "potential_energy")
+_WORKS = ("work_of_loads", "work_of_motions", "dissipated_energy", "missing_energy")
 _SECONDS = ("seconds_assembly", "seconds_condensation", "seconds_solve")
 
 Array = npt.NDArray[Any]
@@ -38,7 +39,9 @@ class OutputError(OSError):
 class Output:
     """The files of one run, written as the run goes; a context manager.
 
-    - ``history.csv``: a row a step, on disk when the step is done.
+    - ``history.csv``: a row a step, on disk when the step is done: iterations, residuals, energies
+      [J], works of loads and motions and what damping has taken since the start [J], what of the
+      two the body has not [J], the force of each [[boundary]] on it [N], seconds.
     - ``newton.csv``: a row a Newton iteration, the starting point being iteration 0.
     - ``fields/fields.pvd``: displacement u [m], |S - I| and von Mises stress [Pa] of each step, for
       ParaView.
@@ -59,13 +62,17 @@ class Output:
         self._step = 0
         names = [f.name for f in simulation.fields]
         residuals = [f"residual_{name}" for name in names]
+        motions, d = simulation.account.reactions.shape
+        reactions = [f"reaction_{k + 1}_{axis}" for k in range(motions) for axis in "xyz"[:d]]
+        at_first = simulation.energies()
+        self._mechanical_at_first = at_first.kinetic + at_first.elastic
         self._names = names
         make_folder(self._comm, folder / "fields")
         _on_rank_0(self._comm, folder, lambda: _remove_former_results(folder))
         self._history = _Csv(
             self._comm,
             folder / "history.csv",
-            [*_STEP, *residuals, *_ENERGIES, *_SECONDS],
+            [*_STEP, *residuals, *_ENERGIES, *_WORKS, *reactions, *_SECONDS],
         )
         self._newton = _Csv(
             self._comm, folder / "newton.csv", ["step", "iteration", "residual", *residuals, "note"]
@@ -97,12 +104,17 @@ class Output:
         self.iterations(result)
         self._step += 1
         seconds = result.timings
+        done = self.simulation.account.balance
+        gained = energies.kinetic + energies.elastic - self._mechanical_at_first
+        missing = done.loads + done.motions - done.dissipated - gained
         self._history.row(
             [
                 *(self._step, self.simulation.scheme.t),
                 *(result.iterations, result.krylov_iterations),
                 *(result.norms[-1][name] for name in self._names),
                 *(energies.kinetic, energies.elastic, energies.potential),
+                *(done.loads, done.motions, done.dissipated, missing),
+                *self.simulation.account.reactions.ravel(),
                 seconds["residual"] + seconds["jacobian"],
                 seconds.get("condensation", 0.0),
                 seconds.get("setup", 0.0) + seconds["solve"],

@@ -20,6 +20,7 @@ from demos.app.scene import Scene
 from demos.app.tables import SceneError
 from forms import (
     SCHEMES,
+    Account,
     Energies,
     History,
     Model,
@@ -115,6 +116,7 @@ class Simulation:
         fields: The unknowns, the displacement [m] first.
         problem: The Newton system.
         scheme: The time scheme; knows time and velocity.
+        account: Works of loads and motions, and reactions of the latter in the scene's order.
     """
 
     def __init__(self, scene: Scene, body: Body, formulation: str) -> None:
@@ -164,6 +166,7 @@ class Simulation:
             )
         self._control = scene.control
         self._energies = self.model.energies(self.scheme)
+        self.account = Account(self.model, self.scheme, self.problem.unbalanced_forces)
         u, stretch = self.model.u, self.model.stretch(self.scheme)
         self._stretch = CellMeans(stretch, u)
         self._stress = CellMeans(self.model.stress(self.scheme), u)
@@ -175,7 +178,7 @@ class Simulation:
         Raises:
             ConvergenceError: A step failed; the state is that after the step before.
         """
-        return march(self.problem, self.scheme, steps, self.model, self._control)
+        return march(self.problem, self.scheme, steps, self.account, self._control)
 
     def energies(self) -> Energies:
         """Energies [J] of the whole body after the last step. Collective."""

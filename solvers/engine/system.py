@@ -160,13 +160,8 @@ class EngineProblem:
 
     def residual(self, b: PETSc.Vec) -> None:
         """Assemble the scaled residual at the present fields. Collective."""
-        for values in self._arrays:
-            values[:] = 0.0
-        self._rest.residual([vector.array for vector in self._r])
-        for kernel in self.kernels:
-            kernel.residual(self._arrays)
+        self._assemble_forces()
         for vector, prescribed in zip(self._r, self._prescribed, strict=True):
-            vector.scatter_reverse(la.InsertMode.add)
             vector.array[prescribed] = 0.0
         for k, (f, vector) in enumerate(zip(self._shared, self._r, strict=True)):
             dofs = self._prescribed[k]
@@ -179,6 +174,27 @@ class EngineProblem:
         parts = self.layout.split(b.array_w)
         for part, values, scale in zip(parts, self._arrays, self.unknowns.scales, strict=True):
             part[:] = scale * values[: len(part)]
+
+    def unbalanced(self) -> Floats:
+        """The derivative of energy less work by the displacement, without conditions. Collective.
+
+        Returns:
+            A force [N] for each local degree of freedom, ghosts included.
+        """
+        self._assemble_forces()
+        self._r[0].scatter_forward()
+        forces: Floats = self._r[0].array.copy()
+        return forces
+
+    def _assemble_forces(self) -> None:
+        """Assemble the residual without units and conditions; shared fields on owned dofs."""
+        for values in self._arrays:
+            values[:] = 0.0
+        self._rest.residual([vector.array for vector in self._r])
+        for kernel in self.kernels:
+            kernel.residual(self._arrays)
+        for vector in self._r:
+            vector.scatter_reverse(la.InsertMode.add)
 
     def jacobian(self, b: PETSc.Vec) -> None:
         """Assemble the scaled condensed matrix; b is the residual. Collective."""
