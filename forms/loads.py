@@ -6,7 +6,7 @@ from abc import ABC
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import ufl
@@ -54,7 +54,12 @@ class Load(ABC):
     def set_time(self, t: float) -> None:
         """Put the present values of all attributes, at time t [s], into forms."""
         for (name, _), constant in self._constants.items():
-            constant.value[...] = _at(getattr(self, name), t)
+            constant.value[...] = self.at(name, t)
+
+    def at(self, name: str, t: float) -> Any:
+        """The value of an attribute at time t [s]."""
+        given = getattr(self, name)
+        return given(t) if callable(given) else given
 
     def constant(self, msh: mesh.Mesh, name: str, shape: tuple[int, ...] = ()) -> Expr:
         """Return the attribute of that name as a constant on a mesh; an expression as it is.
@@ -66,7 +71,7 @@ class Load(ABC):
         if not isinstance(given, Expr):
             constants = self._constants
             if (name, msh) not in constants:
-                constants[name, msh] = fem.Constant(msh, np.array(_at(given, 0.0), dtype=float))
+                constants[name, msh] = fem.Constant(msh, np.array(self.at(name, 0.0), dtype=float))
             given = constants[name, msh]
         if given.ufl_shape != shape:
             right = f"{shape[0]} numbers, as the body has dimensions" if shape else "one number"
@@ -79,7 +84,44 @@ class Load(ABC):
 
 
 @dataclass(eq=False)
-class Gravity(Load):
+class Timed(Load):
+    """A load of a size that a table may make follow the time.
+
+    Attributes:
+        table: Rows of a time [s] and what the size is multiplied by then, linear in between, such
+            as [[0, 0], [1, 1]]; by default 1 at all times.
+        sized: Name of the attribute that it multiplies.
+    """
+
+    sized: ClassVar[str]
+    table: Sequence[Sequence[float]] | None = field(default=None, kw_only=True)
+
+    def __post_init__(self) -> None:
+        """Check the table.
+
+        Raises:
+            ValueError: It has other rows, or its times do not grow.
+        """
+        if self.table is None:
+            return
+        if isinstance(getattr(self, self.sized), Expr):
+            raise ValueError(f"a table goes with numbers, and {self.sized} is an expression")
+        if any(len(row) != 2 for row in self.table) or not self.table:
+            raise ValueError("table must have rows [time, factor]")
+        if np.any(np.diff([row[0] for row in self.table]) <= 0):
+            raise ValueError("table must have rows of growing times")
+
+    def at(self, name: str, t: float) -> Any:
+        """The value of an attribute at time t [s]."""
+        value = super().at(name, t)
+        if self.table is None or name != self.sized:
+            return value
+        times, factors = np.array(self.table, dtype=float).T
+        return np.interp(t, times, factors) * np.array(value, dtype=float)
+
+
+@dataclass(eq=False)
+class Gravity(Timed):
     """The same acceleration everywhere: -ρ g · u.
 
     Attributes:
@@ -87,6 +129,7 @@ class Gravity(Load):
     """
 
     g: Vector
+    sized = "g"
 
     def energy(self, body: BodyLike, u: Expr, rho: Expr | None) -> ufl.Form:
         """Return -∫ ρ g · u dX.
@@ -125,7 +168,7 @@ class BodyForce(Load):
 
 
 @dataclass(eq=False)
-class Traction(Load):
+class Traction(Timed):
     """A dead force on facets, which keeps its direction and its size by area at rest: -t · u.
 
     Attributes:
@@ -135,6 +178,7 @@ class Traction(Load):
 
     value: Vector
     where: Any = None
+    sized = "value"
 
     def energy(self, body: BodyLike, u: Expr, rho: Expr | None) -> ufl.Form:
         """Return -∫ t · u dA."""
@@ -143,7 +187,7 @@ class Traction(Load):
 
 
 @dataclass(eq=False)
-class Pressure(Load):
+class Pressure(Timed):
     """A pressure that follows the surface: the force -p n da, -p cof(F) N dA at rest.
 
     A closed surface has a potential, p times the volume within, here with the sign of N. Others
@@ -158,6 +202,7 @@ class Pressure(Load):
     value: Scalar
     where: Any = None
     closed: bool = False
+    sized = "value"
 
     def energy(self, body: BodyLike, u: Expr, rho: Expr | None) -> ufl.Form | None:
         """Return p/d ∫ x · cof(F) N dA of a closed surface."""
@@ -183,7 +228,7 @@ class Pressure(Load):
 
 
 @dataclass(eq=False)
-class PointForce(Load):
+class PointForce(Timed):
     """A dead force on each of some vertices: -f · u.
 
     Attributes:
@@ -193,6 +238,7 @@ class PointForce(Load):
 
     force: Vector
     where: Any
+    sized = "force"
 
     def energy(self, body: BodyLike, u: Expr, rho: Expr | None) -> ufl.Form:
         """Return -Σ f · u."""
@@ -231,11 +277,6 @@ class HalfSpace(Load):
         depth = self.constant(body.mesh, "offset") - ufl.inner(ufl.as_vector(n.tolist()), x)
         k = self.constant(body.mesh, "stiffness")
         return ufl.conditional(ufl.gt(depth, 0.0), k / 2 * depth**2, 0.0) * body.ds(self.where)
-
-
-def _at(given: Any, t: float) -> Any:
-    """The value of a number, or of a function of time."""
-    return given(t) if callable(given) else given
 
 
 LOADS: dict[str, type[Load]] = {

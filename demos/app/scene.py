@@ -342,8 +342,11 @@ def _loads(root: Table) -> tuple[Loading, ...]:
         return tuple(_load(table) for table in root.tables("load")) + contacts
     table = root.table("load", required=False)
     gravity = table.numbers("gravity", ())
+    weight: tuple[Loading, ...] = ()
+    if gravity:
+        given = {"g": gravity}
+        weight = (Loading(f"{table.place} gravity", keys.made(table, Gravity, given)),)
     table.close()
-    weight = (Loading(f"{table.place} gravity", Gravity(gravity)),) if gravity else ()
     return weight + contacts
 
 

@@ -35,6 +35,10 @@ class Geometry:
 
 
 GEOMETRIES = {
+    "ball": Geometry(
+        "an eighth of a hollow ball of radius 1 m, 0.2 m thick; groups: ball, inner, outer",
+        *(3, 0.12, solid.ball),
+    ),
     "bear": Geometry(
         "a bear 1.3 m tall of spheres and cylinders, on its feet; groups: bear, feet",
         *(3, 0.1, solid.bear),
@@ -55,6 +59,10 @@ GEOMETRIES = {
     "perforated-plate": Geometry(
         "a plate of 4 m × 2 m with 8 holes, in 2D; groups: plate, holes, left, right, bottom, top",
         *(2, 0.15, plane.perforated_plate),
+    ),
+    "rods": Geometry(
+        "three rods of 2 m × 0.2 m × 0.2 m that cross in their middles; groups: rods, ends",
+        *(3, 0.1, solid.rods),
     ),
     "strut": Geometry(
         "a round strut 1 m long and 0.05 m thick, bowed by 1 mm; groups: strut, left, right",

@@ -147,3 +147,43 @@ def bear(gmsh: Any, h: float) -> None:
     occ.synchronize()
     name_group(gmsh, 3, "bear", lambda x, y, z: True)
     name_group(gmsh, 2, "feet", lambda x, y, z: y < 1e-6)
+
+
+def ball(gmsh: Any, h: float, radius: float = 1.0, inner: float = 0.8) -> None:
+    """An eighth of a hollow ball, where x, y and z are positive.
+
+    Groups: "ball"; of facets "inner" and "outer", the round ones.
+    """
+    if not inner < radius:
+        raise MeshError(f"inner = {inner:g}: must be below radius = {radius:g}")
+    occ = gmsh.model.occ
+    whole, hole = (
+        occ.addSphere(0.0, 0.0, 0.0, r, -1, 0.0, math.pi / 2, math.pi / 2) for r in (radius, inner)
+    )
+    occ.cut([(3, whole)], [(3, hole)])
+    occ.synchronize()
+    between = (radius + inner) / 2.0 * math.sqrt(0.75)  # so far off is the centre of a round one
+
+    def is_round(x: float, y: float, z: float) -> bool:
+        return min(x, y, z) > 1e-6 * radius
+
+    name_group(gmsh, 3, "ball", lambda x, y, z: True)
+    name_group(gmsh, 2, "inner", lambda *x: is_round(*x) and math.hypot(*x) < between)
+    name_group(gmsh, 2, "outer", lambda *x: is_round(*x) and math.hypot(*x) > between)
+
+
+def rods(gmsh: Any, h: float, length: float = 2.0, width: float = 0.2) -> None:
+    """Three square rods along x, y and z that cross in their middles, at the origin.
+
+    Groups: "rods"; of facets "ends".
+    """
+    occ = gmsh.model.occ
+    boxes = []
+    for axis in range(3):
+        size = [length if k == axis else width for k in range(3)]
+        boxes.append((3, occ.addBox(*(-x / 2.0 for x in size), *size)))
+    occ.fuse(boxes[:1], boxes[1:])
+    occ.synchronize()
+    name_group(gmsh, 3, "rods", lambda x, y, z: True)
+    reach = (0.5 - 1e-6) * length
+    name_group(gmsh, 2, "ends", lambda x, y, z: max(abs(x), abs(y), abs(z)) > reach)

@@ -280,7 +280,7 @@ WRONG = [
     (
         "value = [0.0, 1.0]",
         "value = [1, 2]\nat = 1",
-        "[[load]]: unknown key at; known: kind, value",
+        "[[load]]: unknown key at; known: kind, table, value",
     ),
     ('{ y = "max" }', '{ tag = "top" }', '[[load]]: { tag = "top" }: the mesh has no such tag'),
     ('{ y = "max" }', '"top"', "[[load]]: where: must be a table such as"),

@@ -229,7 +229,11 @@ def test_a_scene_names_a_geometry(bodies, tmp_path):
 @pytest.mark.parametrize(
     ("name", "given", "message"),
     [
-        ("gaer", {}, "geometry gaer: unknown; available: bear, cooks-membrane, fibre-beam, gear"),
+        (
+            "gaer",
+            {},
+            "geometry gaer: unknown; available: ball, bear, cooks-membrane, fibre-beam, gear",
+        ),
         ("gear", {"h": 0.0}, "geometry gear: h must be above 0, not 0.0"),
         ("gear", {"h": float("nan")}, "geometry gear: h must be above 0, not nan"),
         (
@@ -262,3 +266,21 @@ def test_without_gmsh_one_line_says_so(monkeypatch):
     message = "geometry gear: needs gmsh, which is not installed .pip install gmsh."
     with pytest.raises(MeshError, match=message):
         geometry(COMM, "gear")
+
+
+@pytest.mark.serial
+def test_ball(bodies):
+    fine = geometry(COMM, "ball", 0.06)
+    converges(np.pi / 6 * (1 - 0.8**3), bodies["ball"], fine)
+    assert area(fine, "inner") == pytest.approx(np.pi / 2 * 0.8**2, rel=1e-2)
+    assert area(fine, "outer") == pytest.approx(np.pi / 2, rel=1e-2)
+    with pytest.raises(MeshError, match=r"geometry ball: inner = 1.5: must be below radius = 1"):
+        geometry(COMM, "ball", inner=1.5)
+
+
+@pytest.mark.serial
+def test_rods(bodies):
+    """Exactly: three rods, of which the middle counts once."""
+    body = bodies["rods"]
+    assert volume(body) == pytest.approx(3 * 2 * 0.2**2 - 2 * 0.2**3, rel=1e-12)
+    assert area(body, "ends") == pytest.approx(6 * 0.2**2, rel=1e-12)
