@@ -4,6 +4,7 @@ Your own: a Python file with `MINE = Study(...)`, and `mixed-fem study path/to/f
 """
 
 from demos.studies.benchmark import BENCHMARK
+from demos.studies.conservation import CONSERVATION
 from demos.studies.cost import COST
 from demos.studies.duel import DUEL
 from demos.studies.equivalence import EQUIVALENCE
@@ -24,6 +25,7 @@ STUDIES: dict[str, Study] = {
     study.name: study
     for study in (
         BENCHMARK,
+        CONSERVATION,
         COST,
         DUEL,
         EQUIVALENCE,

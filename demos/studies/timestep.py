@@ -23,7 +23,13 @@ if TYPE_CHECKING:
 
 END, E = 0.32, 2e4  # [s], [Pa]
 QUANTITIES = ("u", "v", "energy")
-ORDERS = {"backward-euler": 1, "implicit-midpoint": 2}
+ORDERS = {
+    "backward-euler": 1,
+    "implicit-midpoint": 2,
+    "bdf2": 2,
+    "trapezoidal": 2,
+    "generalised-alpha": 2,
+}
 """Of each scheme, in every quantity."""
 
 

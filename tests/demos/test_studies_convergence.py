@@ -7,7 +7,15 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
-from demos.studies import cost, few_iterations, newton, refinement, stiffness, timestep
+from demos.studies import (
+    conservation,
+    cost,
+    few_iterations,
+    newton,
+    refinement,
+    stiffness,
+    timestep,
+)
 from demos.studies.records import select
 from forms import FORMULATIONS
 from tests.demos.studies import computed, show
@@ -113,6 +121,25 @@ def test_newton_is_quadratic_or_linear(monkeypatch):
     monkeypatch.setattr(FORMULATIONS["gauss-newton"], "exact", True)
     (line,) = newton.verdict(records)
     assert line.startswith("gauss-newton: order 1.0")
+
+
+@pytest.mark.serial
+def test_what_schemes_keep():
+    """Midpoint the angular momentum; backward Euler loses what a rigid body does in it."""
+    records = computed(conservation, conservation.grid(quick=True))
+    assert conservation.verdict(records) == []
+    show(conservation.CONSERVATION, records)
+    by_scheme = {r["scheme"]: r for r in records}
+    midpoint, euler = by_scheme["implicit-midpoint"], by_scheme["backward-euler"]
+    assert abs(midpoint["momentum"]) < 1e-9
+    turn = np.arctan(euler["h"])
+    for _ in range(euler["steps"] - 1):
+        turn = np.arctan(np.sin(turn) / (2 - np.cos(turn)))
+    kept = (2 * np.sin(turn / 2) / euler["h"]) ** 2
+    assert euler["energy"] == pytest.approx(kept - 1, rel=0.05)
+    assert abs(by_scheme["bdf2"]["energy"]) < abs(euler["energy"]) / 5
+    midpoint["momentum"] = 1e-6
+    assert len(conservation.verdict(records)) == 1
 
 
 @pytest.mark.serial
