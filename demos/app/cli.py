@@ -17,7 +17,8 @@ from typing import Any, NoReturn
 from mpi4py import MPI
 
 from demos import studies
-from demos.app import keys, mesh_report, petsc_options
+from demos.app import keys, measures, mesh_report, petsc_options
+from demos.app import sweep as sweeping
 from demos.app.output import OutputError
 from demos.app.progress import Screen
 from demos.app.run import run
@@ -84,6 +85,7 @@ def _list(_: argparse.Namespace) -> int:
         },
         "preconditioners": {name: p.description for name, p in PRECONDITIONERS.items()},
         "geometries": {name: g.description for name, g in GEOMETRIES.items()},
+        "measures": measures.KINDS,
         "scenes": {name: load(COMM, name).description for name in built_in()},
         "studies": {name: study.description for name, study in studies.STUDIES.items()},
     }
@@ -125,12 +127,27 @@ def _study(given: argparse.Namespace) -> int:
         raise UsageError(f"--json: goes with one study, and {given.study} has {names}")
     if COMM.size > 1 and (alone := [study.name for study in chosen if study.starts_ranks]):
         raise UsageError(f"study {alone[0]} starts ranks by itself; run it without mpiexec")
+    return _run_studies(chosen, given)
+
+
+def _run_studies(chosen: Sequence[studies.Study], given: argparse.Namespace) -> int:
     try:
         shortfalls = [line for study in chosen for line in _one_study(study, given)]
     except studies.Interrupted as error:
         Screen(COMM, sys.stderr if given.json else sys.stdout).line(str(error))
         return 130
     return 1 if shortfalls else 0
+
+
+def _sweep(given: argparse.Namespace) -> int:
+    try:
+        study = sweeping.sweep(
+            COMM, given.scene, [sweeping.axis(text) for text in given.vary], given.measure
+        )
+    except measures.MeasureError as error:
+        raise UsageError(str(error)) from error
+    given.quick = False
+    return _run_studies([study], given)
 
 
 def _studies(name: str) -> Sequence[studies.Study]:
@@ -260,6 +277,44 @@ def _parser() -> argparse.ArgumentParser:
         "--out", metavar="DIR", type=Path, help="folder for the files (default: results/NAME)"
     )
     student.set_defaults(command=_study)
+
+    sweeper = commands.add_parser(
+        "sweep",
+        help="run a scene over a grid of its settings, and measure",
+        description="Run a scene for all combinations of some settings, and write what was "
+        "measured as a table, CSV, JSON and a figure. Along mesh.refine, mesh.h and time.h it "
+        "tells the observed order, what Richardson extrapolates, how far the finest value may be "
+        "from that (grid convergence index), and whether the series is asymptotic. With another "
+        "time.h the number of steps changes so that the end stays. Cases are kept; Ctrl-C keeps "
+        "what is done.",
+    )
+    sweeper.add_argument("scene", metavar="SCENE", help="name of a built-in scene, or path")
+    sweeper.add_argument(
+        "--vary",
+        metavar="KEY=VALUES",
+        action="append",
+        required=True,
+        help="a key of the scene and its values, as mesh.refine=0:3 (0, 1, 2, 3), "
+        "time.h=0.1,0.05 or material.2.E=1e5,1e6; may be given again",
+    )
+    sweeper.add_argument(
+        "--measure",
+        metavar="NAME",
+        action="append",
+        required=True,
+        help="what to measure, see mixed-fem list; may be given again",
+    )
+    sweeper.add_argument("--fresh", action="store_true", help="compute every case anew")
+    sweeper.add_argument(
+        "--json", action="store_true", help="print one JSON document instead of the table"
+    )
+    sweeper.add_argument(
+        "--out",
+        metavar="DIR",
+        type=Path,
+        help="folder for the files (default: results/sweep-SCENE)",
+    )
+    sweeper.set_defaults(command=_sweep)
     return parser
 
 

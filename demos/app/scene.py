@@ -176,12 +176,22 @@ def load(comm: MPI.Comm, scene: str, overrides: Overrides = Overrides()) -> Scen
         SceneError: On all ranks. One line that names the file, the key, what is wrong and what
             would be right.
     """
+    text, path = read_text(comm, scene)
+    return parse(text, path, overrides, source=scene)
+
+
+def read_text(comm: MPI.Comm, scene: str) -> tuple[str, Path]:
+    """The text of a scene and the file that it stands in. Collective.
+
+    Raises:
+        SceneError: On all ranks: it cannot be read.
+    """
     builtin = built_in()
     path = builtin.get(scene, Path(scene))
     text, error = None, None
     if comm.rank == 0:
         try:
-            text = path.read_text(encoding="utf-8")
+            text = path.read_text(encoding="utf-8-sig")
         except FileNotFoundError:
             known = f"{suggestion(scene, builtin)}; built-in scenes: {', '.join(builtin)}"
             error = f"{scene}: neither a built-in scene nor a file{known}"
@@ -190,9 +200,9 @@ def load(comm: MPI.Comm, scene: str, overrides: Overrides = Overrides()) -> Scen
         except UnicodeDecodeError:
             error = f"{scene}: not a text file; a scene is written in TOML"
     text, error = comm.bcast((text, error))
-    if error is not None:
+    if text is None:
         raise SceneError(error)
-    return parse(text, path, overrides, source=scene)
+    return text, path
 
 
 def parse(
@@ -210,10 +220,25 @@ def parse(
         SceneError: See `load`.
     """
     source = str(path) if source is None else source
+    return build(as_tables(text, source), path, overrides, source)
+
+
+def as_tables(text: str, source: str) -> dict[str, Any]:
+    """TOML as Python has it.
+
+    Raises:
+        SceneError: It is none.
+    """
     try:
-        data = tomllib.loads(text)
+        return tomllib.loads(text)
     except tomllib.TOMLDecodeError as e:
         raise SceneError(f"{source}: not valid TOML: {e}") from e
+    except RecursionError as e:
+        raise SceneError(f"{source}: not valid TOML: nested too deeply") from e
+
+
+def build(data: dict[str, Any], path: Path, overrides: Overrides, source: str) -> Scene:
+    """Check the tables of a scene, see `parse`."""
     root = Table(source, "", data)
     description = root.text("description", "")
     mesh = _mesh(root.table("mesh"), path.parent)

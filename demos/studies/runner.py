@@ -6,6 +6,7 @@ import csv
 import hashlib
 import json
 import os
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -71,10 +72,13 @@ def run(
     records: list[Record] = []
     cached = 0
     screen.line(f"study {study.name}: {len(cases)} cases")
+    start = time.monotonic()
     for k, parameters in enumerate(cases):
         found = None if fresh or not kept else cache.get(parameters)
         if found is None:
-            screen.progress(study.name, k, len(cases), f"next: {_told(parameters)}")
+            left = (time.monotonic() - start) / (k - cached) * (len(cases) - k) if k > cached else 0
+            told = f"next: {_told(parameters)}" + (f"; {_minutes(left)} left" if left else "")
+            screen.progress(study.name, k, len(cases), told)
             try:
                 found = of_case(parameters, study.compute(comm, parameters))
             except KeyboardInterrupt:
@@ -99,7 +103,7 @@ class _Cache:
     def __init__(self, study: Study, comm: MPI.Comm, folder: Path) -> None:
         self.folder = folder
         self._comm = comm
-        digest = hashlib.sha256(f"{study.name} {comm.size}".encode())
+        digest = hashlib.sha256(f"{study.name} {study.depends} {comm.size}".encode())
         for text in sources(study.compute).values():
             digest.update(text.encode())
         self._digest = digest
@@ -147,6 +151,10 @@ def _write(study: Study, records: Sequence[Record], out: Path, screen: Screen, r
         study.draw(records, figure)
         for suffix in (".pdf", ".png"):
             figure.savefig(stem.with_suffix(suffix), dpi=200)
+
+
+def _minutes(seconds: float) -> str:
+    return f"about {seconds / 60:.0f} min" if seconds > 90 else f"about {seconds:.0f} s"
 
 
 def _told(parameters: Parameters) -> str:

@@ -31,6 +31,7 @@ class Study:
         table: Lines to show of all records, on rank 0; by default all their numbers and words.
         draw: Draws the records into a figure, on rank 0; None if there is nothing to draw.
         verdict: Lines that name what the records fall short of, on rank 0.
+        depends: What its records depend on beside the parameters and the sources of `compute`.
         starts_ranks: Whether it starts runs on several ranks by itself, and must be run in serial.
     """
 
@@ -41,4 +42,5 @@ class Study:
     table: Callable[[Sequence[Record]], list[str]] = plain_table
     draw: Callable[[Sequence[Record], Figure], None] | None = None
     verdict: Callable[[Sequence[Record]], list[str]] = lambda records: []
+    depends: str = ""
     starts_ranks: bool = False
