@@ -15,6 +15,7 @@ from forms.cell_data import (
     intermediate,
     refresh,
 )
+from forms.compilation import CompilationError, watch_ffcx
 from forms.damping import Rayleigh
 from forms.fields import displacement_field, mixed_fields, point_field
 from forms.formulations import (
@@ -93,6 +94,8 @@ from forms.stress import (
 )
 from forms.time import BDF2, BackwardEuler, ImplicitMidpoint, Scheme, Static
 
+watch_ffcx()
+
 __all__ = [
     "BDF2",
     "FORMULATIONS",
@@ -108,6 +111,7 @@ __all__ = [
     "BodyForce",
     "CellData",
     "CellFunction",
+    "CompilationError",
     "Corotational",
     "Energies",
     "EnergyIntegrals",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import weakref
+from collections.abc import Mapping
 from typing import Protocol
 
 from petsc4py import PETSc
@@ -12,6 +13,7 @@ from dolfinx import fem, la
 
 from solvers.condensation import Condensation
 from solvers.inner import InnerSolver
+from solvers.interruption import Guard
 from solvers.systems import System
 
 
@@ -35,17 +37,19 @@ class CondensedSolver:
         inner: The solver of the condensed system, with options prefix `<problem's>condensed_`.
     """
 
-    def __init__(self, system: CondensedSystem) -> None:
+    def __init__(self, system: CondensedSystem, guard: Guard) -> None:
         """Make this the preconditioner of a system's SNES.
 
         Args:
             system: The system; its SNES has its options.
+            guard: Keeps what callbacks raise.
 
         Raises:
             ValueError: Options that do not go together.
         """
         # The system holds the SNES, and that holds this.
         self._system: CondensedSystem = weakref.proxy(system)
+        self._guard = guard
         fields, shared = system.fields, system.shared
         self._V = fields[0].function_space
         self._names = [f.name for f in fields]
@@ -115,6 +119,18 @@ class CondensedSolver:
         """Begin again from the start of a nonlinear solve."""
         self.inner.restart()
 
+    def carried(self) -> dict[str, float]:
+        """Whether factors take the place of CG, and for how long."""
+        return self.inner.carried()
+
+    def carry(self, numbers: Mapping[str, float]) -> None:
+        """Take that from another solver."""
+        self.inner.carry(numbers)
+
+    def renew(self) -> None:
+        """Forget preconditioners and factors. Collective."""
+        self.inner.renew()
+
     def set_up(self, A: PETSc.Mat) -> PETSc.Mat:
         """Nothing; the preconditioner is that of the Jacobian."""
         return A
@@ -134,6 +150,13 @@ class CondensedSolver:
 
     def setUp(self, pc: PETSc.PC) -> None:
         """Condense the current Jacobian. Called by PETSc."""
+        self._guard.protects(self._set_up, lambda pc: None)(pc)
+
+    def apply(self, pc: PETSc.PC, b: PETSc.Vec, x: PETSc.Vec) -> None:
+        """Solve with the block system. Called by PETSc."""
+        self._guard.protects(self._apply, _fail)(pc, b, x)
+
+    def _set_up(self, pc: PETSc.PC) -> None:
         pc.setFailedReason(PETSc.PC.FailedReason.NOERROR)  # PETSc keeps that of the last time
         with self.inner.timed("condensation"):
             if self._blocks is None:
@@ -144,8 +167,7 @@ class CondensedSolver:
             singular = ", ".join(self._names[f] for f in self._blocks.update())
             self._singular = f"the local block of {singular} is singular" if singular else ""
 
-    def apply(self, pc: PETSc.PC, b: PETSc.Vec, x: PETSc.Vec) -> None:
-        """Solve with the block system. Called by PETSc."""
+    def _apply(self, pc: PETSc.PC, b: PETSc.Vec, x: PETSc.Vec) -> None:
         assert self._blocks is not None
         if self._singular:
             # Not in setUp, after which PETSc would apply this all the same.
@@ -178,6 +200,10 @@ class CondensedSolver:
                 found[k][:] = vector.array[: len(values)] = values
                 vector.scatter_forward()
             self._blocks.recover(right, local, solution)
+
+
+def _fail(pc: PETSc.PC, b: PETSc.Vec, x: PETSc.Vec) -> None:
+    pc.setFailedReason(PETSc.PC.FailedReason.SUBPC_ERROR)
 
 
 def rigid_body_modes(V: fem.FunctionSpace) -> PETSc.NullSpace:

@@ -7,7 +7,7 @@ matrix to precondition it with: that Schur complement itself, assembled.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from petsc4py import PETSc
 
@@ -102,6 +102,17 @@ class FieldSplitSolver:
 
     def restart(self) -> None:
         """Nothing."""
+
+    def carried(self) -> dict[str, float]:
+        """Nothing; a kept preconditioner is no number."""
+        return {}
+
+    def carry(self, numbers: Mapping[str, float]) -> None:
+        """Nothing."""
+
+    def renew(self) -> None:
+        """Keep no preconditioner; the splits stay as they are."""
+        self._cost, self._fresh_cost, self._kept = 0, 0, False
 
     def set_up(self, A: PETSc.Mat) -> PETSc.Mat:
         """Choose the order of elimination, and make the preconditioner, once.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from enum import Enum
 
@@ -79,8 +79,7 @@ class InnerSolver:
         # Block by block a product takes less than half the time. The preconditioner is K's own.
         self._by_blocks = PETSc.Mat() if not self._direct and bs > 1 else None
         self._state = -1
-        self._keep = False
-        self._fresh_cost = 0.0
+        self._keep, self._fresh_cost = False, 0.0
         self._factors: PETSc.KSP | None = None
         self._factorise, self._patience = 0, PATIENCE
         self.start()
@@ -106,6 +105,21 @@ class InnerSolver:
         """Begin again from the start of a nonlinear solve."""
         self._keep = False
         self._norms = []
+
+    def carried(self) -> dict[str, float]:
+        """For how many more systems factors replace CG, and for how many the next time."""
+        return {"factorise": self._factorise, "patience": self._patience}
+
+    def carry(self, numbers: Mapping[str, float]) -> None:
+        """Take these from another solver."""
+        self._factorise, self._patience = int(numbers["factorise"]), int(numbers["patience"])
+
+    def renew(self) -> None:
+        """Forget preconditioners, their interpolation too, and factors. Collective."""
+        self._keep, self._fresh_cost = False, 0.0
+        for ksp in (self.ksp, self._factors):
+            if ksp is not None:
+                forget_factors(ksp)
 
     @contextmanager
     def timed(self, phase: str) -> Iterator[None]:

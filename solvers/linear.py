@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Protocol
 
 from petsc4py import PETSc
@@ -37,6 +38,15 @@ class LinearSolver(Protocol):
     def restart(self) -> None:
         """Begin again from the start of a nonlinear solve."""
 
+    def carried(self) -> dict[str, float]:
+        """Numbers that one nonlinear solve leaves for the next."""
+
+    def carry(self, numbers: Mapping[str, float]) -> None:
+        """Take such numbers for one's own."""
+
+    def renew(self) -> None:
+        """Keep nothing else of the former solves than these numbers. Collective."""
+
     def set_up(self, A: PETSc.Mat) -> PETSc.Mat:
         """Prepare for a Jacobian that is assembled, once the units are known. Collective.
 
@@ -69,6 +79,17 @@ class KrylovSolver:
 
     def restart(self) -> None:
         """Nothing."""
+
+    def carried(self) -> dict[str, float]:
+        """Nothing."""
+        return {}
+
+    def carry(self, numbers: Mapping[str, float]) -> None:
+        """Nothing."""
+
+    def renew(self) -> None:
+        """Forget the factors. Collective."""
+        forget_factors(self._ksp)
 
     def set_up(self, A: PETSc.Mat) -> PETSc.Mat:
         """Nothing; the preconditioner is that of the Jacobian."""

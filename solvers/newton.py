@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from petsc4py import PETSc
 
 import numpy as np
+import numpy.typing as npt
 
 from solvers import options as defaults
 from solvers.domain import Domain
+from solvers.interruption import Guard
 from solvers.layout import is_local
 from solvers.lifetime import weakly
 from solvers.linear import LINEAR_REASONS, LinearSolver, names_of
@@ -36,21 +39,24 @@ class Newton:
         system: What it solves.
         linear: What solves its linear systems.
         history: Of the present solve.
+        guard: Keeps what callbacks raise; a pass ends by raising that.
         reason: PETSc's reason for the end of the last pass.
         failure: What the linear solver says where that is to blame.
         belongings: What is to be destroyed with the problem.
         size: Of the body [m].
     """
 
-    def __init__(self, system: System, linear: LinearSolver) -> None:
+    def __init__(self, system: System, linear: LinearSolver, guard: Guard) -> None:
         """Put callbacks into the SNES of the system.
 
         Args:
             system: What to solve.
             linear: What has been made its linear solver.
+            guard: Keeps what callbacks raise.
         """
         self.system, self.linear, self.snes = system, linear, system.solver
         self.history = History()
+        self.guard = guard
         self.reason, self.failure = 0, ""
         self.belongings: list[Any] = [system]
         self._continued = False
@@ -60,10 +66,11 @@ class Newton:
         self._begin_pass(np.inf, forced=False)
         snes, A = self.snes, system.A
         # PETSc must not keep this object alive, which keeps PETSc's objects alive.
-        snes.setFunction(weakly(self._residual), system.b)
-        snes.setJacobian(weakly(self._jacobian), A, A)
-        snes.setConvergenceTest(weakly(self._test))
-        snes.setMonitor(weakly(self._record))
+        self._callback = partial(_callback, guard)
+        snes.setFunction(self._callback(self._residual, _no_residual), system.b)
+        snes.setJacobian(self._callback(self._jacobian), A, A)
+        snes.setConvergenceTest(self._callback(self._test, _no_more))
+        snes.setMonitor(self._callback(self._record))
 
     @property
     def alone(self) -> bool:
@@ -73,22 +80,23 @@ class Newton:
     def steer(self, strategy: Strategy) -> None:
         """Ask a strategy before each iteration and each step."""
         self._exact = strategy.exact
-        self.snes.setUpdate(weakly(strategy.before_iteration))
+        self.snes.setUpdate(self._callback(strategy.before_iteration))
         self._choose_step = weakly(strategy.before_step)
-        self.snes.setLineSearchPreCheck(weakly(self._before_step))
+        self.snes.setLineSearchPreCheck(self._callback(self._before_step))
 
     def monitor(self, *, newton: bool, krylov: bool) -> None:
         """Print the residual norm of each field at each Newton iteration, at each Krylov one."""
         if newton:
-            self.snes.setMonitor(weakly(self._print_newton))
+            self.snes.setMonitor(self._callback(self._print_newton))
         if krylov:
-            self.snes.getKSP().setMonitor(weakly(self._print_krylov))
+            self.snes.getKSP().setMonitor(self._callback(self._print_krylov))
 
     def begin(self) -> None:
         """Begin a solve from the present values of the fields. Collective."""
         for f, values in zip(self.system.fields, self._before, strict=True):
             values[:] = f.x.array
         self.history, self.failure = History(), ""
+        self.guard.begin()
         if not self._scaled:
             self._set_scales()
         self.linear.start()
@@ -225,8 +233,11 @@ class Newton:
         self._begin_pass(growth, forced=forced)
         limit = snes.getTolerances()[3]
         snes.setTolerances(max_it=max(end - self._before_pass, 0))
-        snes.solve(None, x)
-        snes.setTolerances(max_it=limit)
+        try:
+            snes.solve(None, x)
+        finally:
+            snes.setTolerances(max_it=limit)
+        self.guard.end()
         self.system.unknowns.write(x)
         self.reason = int(snes.getConvergedReason())
 
@@ -249,6 +260,18 @@ class Newton:
         """Find units anew the next time: those of a state that led nowhere may be to blame."""
         self._scaled = False
 
+    def carried(self) -> dict[str, Any]:
+        """Numbers that one solve leaves for the next, as plain as JSON."""
+        scales = self.system.unknowns.scales.tolist() if self._scaled else None
+        return {"scales": scales, "left": self._domain.left, **self.linear.carried()}
+
+    def carry(self, numbers: Mapping[str, Any]) -> None:
+        """Take such numbers for one's own. Collective."""
+        self._domain.left = numbers["left"]
+        self.linear.carry(numbers)
+        if numbers["scales"] is not None:
+            self._set_scales(np.array(numbers["scales"]))
+
     def _begin_pass(self, growth: float, *, forced: bool) -> None:
         self._growth, self._forced = growth, forced
         self._domain.begin()
@@ -258,15 +281,16 @@ class Newton:
         self._stagnates = False
         self.halted = 0  # a strategy's reason to end the pass
 
-    def _set_scales(self) -> None:
+    def _set_scales(self, scales: npt.NDArray[np.float64] | None = None) -> None:
+        """Take these units, or such as suit the present Jacobian. Collective."""
         system = self.system
         system.unknowns.set_scales(np.ones(len(system.fields)))
         system.b.set(0.0)
         system.unknowns.read(system.x)
         self._evaluate_jacobian(system.x)
-        system.rescale(equilibrate(system.block_entries()))
+        system.rescale(equilibrate(system.block_entries()) if scales is None else scales)
         P = self.linear.set_up(system.A)
-        self.snes.setJacobian(weakly(self._jacobian), system.A, P)
+        self.snes.setJacobian(self._callback(self._jacobian), system.A, P)
         self._scaled = True
 
     # PETSc's callbacks
@@ -305,6 +329,8 @@ class Newton:
         self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]
     ) -> PETSc.SNES.ConvergedReason:
         """PETSc's own test, with rounding error as the absolute tolerance; and divergence."""
+        if self.guard.watch():
+            return Reason.DIVERGED_FUNCTION_COUNT
         size, step, norm = norms
         rtol, given, stol, _ = snes.getTolerances()
         atol = max(given, self._floor * (defaults.NEAR_ROUND_OFF if self._stagnates else 1.0))
@@ -390,6 +416,22 @@ class Newton:
         if self.system.unknowns.layout.comm.rank == 0:
             parts = (f"|r_{name}| {norm:.6e}" for name, norm in norms.items())
             print(f"{method} {iteration:3d}", *parts, sep="  ", flush=True)
+
+
+def _callback(
+    guard: Guard, method: Callable[..., Any], instead: Callable[..., Any] = lambda *_: False
+) -> Callable[..., Any]:
+    """What PETSc can call: it keeps no object alive, and raises nothing."""
+    return guard.protects(weakly(method), instead)
+
+
+def _no_residual(snes: PETSc.SNES, x: PETSc.Vec, b: PETSc.Vec) -> None:
+    """Make PETSc end its iteration."""
+    b.set(np.inf)
+
+
+def _no_more(*_: object) -> int:
+    return int(Reason.DIVERGED_FUNCTION_COUNT)
 
 
 REASONS = names_of(Reason)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import logging
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,6 +22,7 @@ from solvers.condensed import CondensedSolver
 from solvers.engine.slots import NotPointwise
 from solvers.engine.system import EngineProblem
 from solvers.fieldsplit import FieldSplitSolver
+from solvers.interruption import Guard, deferred
 from solvers.layout import is_local, require_local
 from solvers.lifetime import destroy_dead, destroy_with
 from solvers.linear import KrylovSolver, LinearSolver
@@ -141,6 +142,7 @@ class MixedProblem:
         engine = isinstance(self.system, EngineProblem)
         self._strategy = strategy
         self._options.put(strategy.options)
+        guard = Guard(fields[0].function_space.mesh.comm)
         snes = self.system.solver
         self.condensed: CondensedSolver | None = None
         self.fieldsplit: FieldSplitSolver | None = None
@@ -153,7 +155,7 @@ class MixedProblem:
                     unknowns, fields[0].function_space.mesh.geometry.dim, symmetric=work is None
                 )
             )
-            linear = self.condensed = CondensedSolver(self.system)
+            linear = self.condensed = CondensedSolver(self.system, guard)
         elif solver == "fieldsplit":
             linear = self.fieldsplit = FieldSplitSolver(
                 self.fields,
@@ -166,7 +168,7 @@ class MixedProblem:
             self._options.put(defaults.DIRECT)
             linear = KrylovSolver(snes.getKSP())
         snes.setFromOptions()
-        self._newton = Newton(self.system, linear)
+        self._newton = Newton(self.system, linear, guard)
         self._newton.monitor(
             newton=self._options.flag("monitor_newton"), krylov=self._options.flag("monitor_krylov")
         )
@@ -194,13 +196,25 @@ class MixedProblem:
         search on the residual, and if that fails too goes down the energy; the result notes it.
         See `solvers.strategies` for this and others.
 
+        Ctrl-C and other signals wait until an iteration has come to its end; then what their
+        handlers raise goes out of here.
+
         Raises:
-            ConvergenceError: Newton's method or the linear solver failed. The fields keep the
-                values they had.
+            ConvergenceError: Newton's method or the linear solver failed. As with any other
+                exception the fields keep the values they had, and one may solve again.
         """
+        with deferred():
+            return self._solve()
+
+    def _solve(self) -> SolveResult:
         start = time.perf_counter()
-        self._newton.begin()
-        converged = self._strategy.solve()
+        try:
+            self._newton.begin()
+            converged = self._strategy.solve()
+        except BaseException:
+            self._newton.restore()
+            self._newton.forget_scales()
+            raise
         self._keep_unknowns()
         if not converged:
             self._newton.restore()
@@ -227,16 +241,21 @@ class MixedProblem:
         """
         start = time.perf_counter()
         before = [f.x.array.copy() for f in self.fields]
-        free = Strategy()
-        self._newton.steer(free)
         search = self.system.solver.getLineSearch()
-        kind = search.getType()
-        search.setType("basic")
-        self._newton.begin()
-        done = self._newton.iterate(most=1, forced=True) or self._newton.iterations == 1
+        kind, free = search.getType(), Strategy()  # which PETSc does not keep alive
+        with deferred():
+            self._newton.steer(free)
+            search.setType("basic")
+            try:
+                self._newton.begin()
+                done = self._newton.iterate(most=1, forced=True) or self._newton.iterations == 1
+            except BaseException:
+                self._newton.restore()
+                raise
+            finally:
+                search.setType(kind)
+                self._newton.steer(self._strategy)
         self._keep_unknowns()
-        search.setType(kind)
-        self._newton.steer(self._strategy)
         result = self._finish(start)
         changes = [f.x.array - v for f, v in zip(self.fields, before, strict=True)]
         if not (done and apply):
@@ -244,6 +263,20 @@ class MixedProblem:
         if not done:
             raise ConvergenceError(result)
         return NewtonStep(tuple(changes), result)
+
+    def carried(self) -> dict[str, Any]:
+        """Return what a solve leaves for the next beside the fields, as plain as JSON. Collective.
+
+        Factors and preconditioners are forgotten, so that with these numbers and the fields another
+        problem of the same energy goes on as this one does: on one rank with `solver="condensed"`
+        to the last bit, else to the tolerances of its solvers.
+        """
+        self._newton.linear.renew()
+        return self._newton.carried()
+
+    def carry(self, numbers: Mapping[str, Any]) -> None:
+        """Take what `carried` has returned, before the first solve. Collective."""
+        self._newton.carry(numbers)
 
     def unbalanced_forces(self) -> npt.NDArray[np.float64]:
         """Return the derivative of energy less work by the displacement [N]. Collective.

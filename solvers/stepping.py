@@ -76,12 +76,26 @@ class StepControl:
 GROWTH = 2.0
 
 
+@dataclass
+class Pace:
+    """Where `march` stands between steps, so that another can go on from there.
+
+    Attributes:
+        begin: Time at which it began [s], or None before.
+        h: Length of the step that it will try next [s], or None before.
+    """
+
+    begin: float | None = None
+    h: float | None = None
+
+
 def march(
     problem: MixedProblem,
     scheme: TimeScheme,
     steps: int,
     model: Stepped | None = None,
     control: StepControl | None = None,
+    pace: Pace | None = None,
 ) -> Iterator[SolveResult]:
     """Solve and advance over `steps` times h, yielding the result of each step.
 
@@ -91,13 +105,19 @@ def march(
         steps: How many; of those that are made there may be more or fewer, see `control`.
         model: What is updated before each step, and accepts it; without one the scheme advances.
         control: How h changes, which by default it does not. When all is done it is as before.
+        pace: Follows it. One that another march has left is gone on from: `steps` then counts from
+            where that began, and h is what it was then.
 
     Raises:
         ConvergenceError: A step failed, at the smallest h too; the scheme and the fields are as
             after the step before.
     """
+    pace = Pace() if pace is None else pace
+    if pace.begin is None:
+        pace.begin = scheme.t
     if control is None:
-        for _ in range(steps):
+        h = float(scheme.h.value)
+        for _ in range(steps - round((scheme.t - pace.begin) / h)):
             if model is not None:
                 model.update(scheme)
             result = problem.solve()
@@ -106,7 +126,7 @@ def march(
         return
     nominal = float(scheme.h.value)
     try:
-        yield from _controlled(problem, scheme, steps, nominal, model, control)
+        yield from _controlled(problem, scheme, steps, nominal, model, control, pace)
     finally:
         scheme.h.value = nominal
 
@@ -118,11 +138,12 @@ def _controlled(
     nominal: float,
     model: Stepped | None,
     control: StepControl,
+    pace: Pace,
 ) -> Iterator[SolveResult]:
     """Between multiples of the nominal h, or to the end at one go."""
-    begin, smallest = scheme.t, nominal / 2.0**control.cuts
+    begin, smallest = pace.begin or 0.0, nominal / 2.0**control.cuts
     targets = range(1, steps + 1) if control.tolerance is None else [steps]
-    h = nominal
+    h = nominal if pace.h is None else pace.h
     for target in targets:
         end = begin + target * nominal
         while (left := end - scheme.t) > 1e-9 * nominal:
@@ -135,9 +156,10 @@ def _controlled(
                 h = max(tried * factor, smallest)
                 continue
             _accept(scheme, model)
-            yield result
             h = max(h, factor * tried) if control.tolerance is None else factor * tried
             h = min(h, nominal) if control.tolerance is None else max(h, smallest)
+            pace.h = h
+            yield result
 
 
 def _tried(

@@ -252,9 +252,9 @@ def _nonlinear_problem(
         product = ufl.inner(ufl.TrialFunction(V), ufl.TestFunction(V))
         jacobian[0][0] = zero * product * ufl.dx
     problem = NonlinearProblem(
-        residual,
+        fem.form(residual),  # here, as it cannot be deleted where that fails
         fields,
-        J=jacobian,
+        J=fem.form(jacobian),
         bcs=list(bcs),
         kind="nest" if nested and len(fields) > 1 else "mpi",
         petsc_options_prefix=prefix,

@@ -7,6 +7,9 @@ Exit codes: 0 done, 1 a solve failed or a comparison fell short, 2 bad input (on
 from __future__ import annotations
 
 import argparse
+import io
+import os
+import signal
 import sys
 import traceback
 from collections.abc import Callable, Sequence
@@ -19,21 +22,37 @@ from mpi4py import MPI
 from demos import studies
 from demos.app import keys, measures, mesh_report, petsc_options
 from demos.app import sweep as sweeping
-from demos.app.output import OutputError
+from demos.app.files import OutputError
 from demos.app.progress import Screen
-from demos.app.run import run
+from demos.app.run import Restart, run
 from demos.app.scene import Overrides, built_in, load
 from demos.app.tables import SceneError
 from demos.by_hand import ERRATA, compare
-from forms import FORMULATIONS, LOADS, MATERIALS, MOTIONS, SCHEMES
+from forms import FORMULATIONS, LOADS, MATERIALS, MOTIONS, SCHEMES, CompilationError
 from meshes import GEOMETRIES
-from solvers import PRECONDITIONERS, SOLVERS, STRATEGIES
+from solvers import PRECONDITIONERS, SOLVERS, STRATEGIES, CheckpointError
 
 COMM = MPI.COMM_WORLD
 
 
 class UsageError(ValueError):
     """The command line cannot be understood; the message is one line."""
+
+
+class Terminated(KeyboardInterrupt):
+    """The process was asked to end by SIGTERM."""
+
+
+def _of_compilation(error: RuntimeError) -> str:
+    """What the error says if it is one of compilation, on any rank; else nothing."""
+    if isinstance(error, CompilationError):
+        return str(error)
+    _, known, told = str(error).partition("JIT compilation of form: ")
+    return told if known else ""
+
+
+def _terminate(number: int, frame: object) -> NoReturn:
+    raise Terminated
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -47,6 +66,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     if COMM.size > 1:
         sys.excepthook = _abort
+    for stream in (sys.stdout, sys.stderr):  # of any encoding
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
+    signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # as Python has it; PETSc would abort
+    if signal.getsignal(signal.SIGTERM) == signal.SIG_DFL:
+        signal.signal(signal.SIGTERM, _terminate)
     try:
         arguments, options = petsc_options.split(sys.argv[1:] if argv is None else argv)
         given = _parser().parse_args(arguments, argparse.Namespace(petsc=options))
@@ -59,16 +84,27 @@ def main(argv: Sequence[str] | None = None) -> int:
                 message = f"mixed-fem: PETSc options that nothing has read: {' '.join(unread)}"
                 print(message, file=sys.stderr)
         return code
-    except (UsageError, SceneError, OutputError, studies.StudyError) as error:
+    except (UsageError, SceneError, OutputError, CheckpointError, studies.StudyError) as error:
         if COMM.rank == 0:
             print("mixed-fem:", *str(error).splitlines(), file=sys.stderr)
         return 2
-    except KeyboardInterrupt:
+    except RuntimeError as error:
+        if not (told := _of_compilation(error)):
+            raise
         if COMM.rank == 0:
-            print("mixed-fem: interrupted; what is written stays", file=sys.stderr, flush=True)
-        if COMM.size > 1:  # others may wait for this rank
-            COMM.Abort(130)
-        return 130
+            print("mixed-fem:", told, file=sys.stderr)
+        return 2
+    except BrokenPipeError:  # whoever reads the output has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except KeyboardInterrupt as error:
+        code = 143 if isinstance(error, Terminated) else 130
+        if COMM.rank == 0:
+            told = str(error) or "what is written stays"
+            print(f"mixed-fem: interrupted; {told}", file=sys.stderr, flush=True)
+        if COMM.size > 1 and not hasattr(error, "on_all_ranks"):  # others may wait for this rank
+            COMM.Abort(code)
+        return code
 
 
 def _list(_: argparse.Namespace) -> int:
@@ -97,12 +133,14 @@ def _list(_: argparse.Namespace) -> int:
 
 
 def _run(given: argparse.Namespace) -> int:
-    if given.resume is not None:
-        raise UsageError("--resume is not available yet; runs start at rest")
+    if given.checkpoint < 0:
+        raise UsageError(f"--checkpoint {given.checkpoint}: must be a number of steps, or 0")
+    file = None if given.resume in (None, "") else Path(given.resume)
+    restart = Restart(given.checkpoint, given.resume is not None, file)
     overrides = Overrides(given.steps, given.formulation, given.material, given.solver)
     scene = load(COMM, given.scene, overrides)
     out = given.out if given.out is not None else Path("results") / scene.name
-    failures = run(scene, COMM, out, Screen(COMM))
+    failures = run(scene, COMM, out, Screen(COMM), restart)
     if COMM.rank == 0:
         for failure in failures:
             print(f"mixed-fem: {failure}", file=sys.stderr)
@@ -199,7 +237,8 @@ def _parser() -> argparse.ArgumentParser:
         help="compute a scene and write its results and picture",
         description="Compute a scene. Written to DIR: final.npz (X, x, v, S, Lam, von_mises, in "
         "the order of the mesh file), history.csv (a row a step), newton.csv (a row a Newton "
-        "iteration), fields/fields.pvd (for ParaView), picture.png.",
+        "iteration), fields/fields.pvd (for ParaView), checkpoint.npz, run.json (what was run, and "
+        "by what), picture.png. Ctrl-C ends a run after the step under way, with a checkpoint.",
     )
     runner.add_argument(
         "scene", metavar="SCENE", help="name of a built-in scene, or path of a TOML file"
@@ -219,7 +258,21 @@ def _parser() -> argparse.ArgumentParser:
     runner.add_argument(
         "--solver", metavar="S", help=f"one of {', '.join(SOLVERS)}; default: the scene's"
     )
-    runner.add_argument("--resume", metavar="FILE", help="not available yet")
+    runner.add_argument(
+        "--resume",
+        nargs="?",
+        const="",
+        metavar="FILE",
+        help="go on from a checkpoint, by default that of DIR, on any number of ranks; give the "
+        "same scene, with more steps if you like",
+    )
+    runner.add_argument(
+        "--checkpoint",
+        type=_integer,
+        default=10,
+        metavar="N",
+        help="write a checkpoint every N steps, and at the end (default: 10; 0: at the end alone)",
+    )
     runner.set_defaults(command=_run)
 
     comparison = commands.add_parser(

@@ -23,8 +23,7 @@ class Screen:
     def line(self, text: str = "") -> None:
         """Print a line."""
         if not self._silent:
-            self._stream.write(f"{self._erase()}{text}\n")
-            self._stream.flush()
+            self._write(f"{self._erase()}{text}\n")
             self._bar = ""
 
     def progress(self, label: str, done: int, total: int, detail: str = "") -> None:
@@ -37,12 +36,18 @@ class Screen:
             return
         filled = BAR * done // total
         bar = f"{label} [{'=' * filled}{' ' * (BAR - filled)}] {done}/{total}  {detail}"
-        self._stream.write(f"{self._erase()}{bar}")
-        self._stream.flush()
+        self._write(f"{self._erase()}{bar}")
         self._bar = bar
         if done == total:
-            self._stream.write("\n")
+            self._write("\n")
             self._bar = ""
+
+    def _write(self, text: str) -> None:
+        try:
+            self._stream.write(text)
+            self._stream.flush()
+        except BrokenPipeError:  # nobody reads it; the work goes on
+            self._silent = True
 
     def _erase(self) -> str:
         return f"\r{' ' * len(self._bar)}\r" if self._bar else ""

@@ -15,12 +15,23 @@ import numpy.typing as npt
 from dolfinx import mesh
 
 from demos.app import picture
-from demos.app.output import Output, make_folder, write_surface
+from demos.app.about import about, differences
+from demos.app.fields import as_mesh
+from demos.app.files import make_folder
+from demos.app.output import CHECKPOINT, Output
 from demos.app.progress import Screen
 from demos.app.scene import Scene
 from demos.app.simulation import Simulation, build_body
 from meshes import Body
-from solvers import ConvergenceError, SolveResult
+from solvers import (
+    Checkpoint,
+    CheckpointError,
+    ConvergenceError,
+    SolveResult,
+    checkpoint,
+    deferred,
+    safe_point,
+)
 
 State = Mapping[str, npt.NDArray[Any]]
 
@@ -31,18 +42,37 @@ class Run:
 
     Attributes:
         formulation: Its name.
-        results: One for each step, the failed one included.
+        results: One for each step that it made, the failed one included.
+        before: How many steps it found made.
         failure: What to say if the last of them failed, else nothing.
         state: The final state on rank 0, see `demos.app.output.final_state`.
     """
 
     formulation: str
     results: tuple[SolveResult, ...]
+    before: int
     failure: str
     state: State | None
 
 
-def run(scene: Scene, comm: MPI.Comm, out: Path, screen: Screen) -> list[str]:
+@dataclasses.dataclass(frozen=True)
+class Restart:
+    """How runs are kept, and gone on with.
+
+    Attributes:
+        every: Steps between two checkpoints; 0 for one at the start alone.
+        resume: Whether to go on from checkpoints.
+        file: The checkpoint to go on from; by default that in the folder of results.
+    """
+
+    every: int = 10
+    resume: bool = False
+    file: Path | None = None
+
+
+def run(
+    scene: Scene, comm: MPI.Comm, out: Path, screen: Screen, restart: Restart = Restart()
+) -> list[str]:
     """Run a scene, write its results, draw it, and run its baseline if it has one. Collective.
 
     Args:
@@ -50,23 +80,27 @@ def run(scene: Scene, comm: MPI.Comm, out: Path, screen: Screen) -> list[str]:
         comm: Communicator.
         out: Folder for the results; those of the baseline go to a folder in it.
         screen: Where to report.
+        restart: Checkpoints.
 
     Returns:
         A message for each solve that failed. What was computed before the failure is on disk.
 
     Raises:
         SceneError: The scene and its mesh do not fit.
-        OutputError: The folder cannot be written to.
+        CheckpointError: There is nothing that can be gone on from.
+        OutputError: The folder cannot be written to, or has other people's files.
+        KeyboardInterrupt: By a signal; what is done is on disk, with a checkpoint.
     """
     body = build_body(scene, comm)
     make_folder(comm, out)
     screen.line(f"{scene.name}: {_size(body)}, {_parameters(scene)}, h = {scene.h:g} s")
-    main = _march(scene, body, scene.formulation, out, screen)
+    main = _march(scene, body, scene.formulation, out, screen, restart)
     if main.state is not None and main.state["t"] > 0:
         _draw(scene, body, main.state, out, screen)
     runs = [main]
     if scene.baseline is not None and scene.baseline != scene.formulation:
-        baseline = _march(scene, body, scene.baseline, out / scene.baseline, screen)
+        beside = dataclasses.replace(restart, file=None)
+        baseline = _march(scene, body, scene.baseline, out / scene.baseline, screen, beside)
         runs.append(baseline)
         for line in comparison(scene, main, baseline):
             screen.line(line)
@@ -74,29 +108,81 @@ def run(scene: Scene, comm: MPI.Comm, out: Path, screen: Screen) -> list[str]:
     return [r.failure for r in runs if r.failure]
 
 
-def _march(scene: Scene, body: Body, formulation: str, out: Path, screen: Screen) -> Run:
+def _march(
+    scene: Scene, body: Body, formulation: str, out: Path, screen: Screen, restart: Restart
+) -> Run:
+    comm = body.mesh.comm
+    told = about(scene, comm)
+    saved = _saved(comm, out, formulation, told["scene"], screen, restart)
     screen.line(f"{formulation}: preparing forms (the first time compiles them, about 15 s in 3D)")
     start = time.perf_counter()
     simulation = Simulation(scene, body, formulation)
+    if saved is not None:
+        saved.put(body, simulation.model, simulation.scheme)
     results: list[SolveResult] = []
     failure = ""
-    with Output(out, simulation) as output:
-        screen.line(f"{formulation}: ready after {time.perf_counter() - start:.1f} s")
+    with deferred(), Output(out, simulation, told, saved) as output:
+        begun = "" if saved is None else f", goes on after step {output.steps}"
+        screen.line(f"{formulation}: ready after {time.perf_counter() - start:.1f} s{begun}")
+        before = output.steps
         try:
             for result in simulation.march(scene.steps):
                 results.append(result)
-                output.step(result, simulation.energies())
-                screen.progress(formulation, len(results), scene.steps, _told(result))
+                output.step(result)
+                screen.progress(formulation, output.steps, scene.steps, _told(result))
+                if restart.every and output.steps % restart.every == 0:
+                    output.checkpoint()
+                safe_point(comm)
         except ConvergenceError as error:
             results.append(error.result)
             output.iterations(error.result)
             failure = (
-                f"{formulation}: step {len(results)} of {scene.steps} failed, the state at t = "
+                f"{formulation}: step {output.steps + 1} of {scene.steps} failed, the state at t = "
                 f"{simulation.scheme.t:g} s is kept in {out}: {error}"
             )
+        except KeyboardInterrupt as error:
+            output.checkpoint()
+            output.final()
+            error.args = (
+                f"{formulation}: {output.steps} of {scene.steps} steps are done and kept in {out}; "
+                "the same command with --resume goes on",
+            )
+            raise
+        output.checkpoint()
         state = output.final()
     screen.line(f"{formulation}: results in {out}")
-    return Run(formulation, tuple(results), failure, state)
+    return Run(formulation, tuple(results), before, failure, state)
+
+
+def _saved(
+    comm: MPI.Comm,
+    out: Path,
+    formulation: str,
+    scene: Mapping[str, Any],
+    screen: Screen,
+    restart: Restart,
+) -> Checkpoint | None:
+    """The checkpoint to go on from, if there is to be one.
+
+    Raises:
+        CheckpointError: It is of another scene or formulation, or none.
+    """
+    if not restart.resume:
+        return None
+    path = restart.file or out / CHECKPOINT
+    if restart.file is None and not comm.bcast(path.exists()):
+        screen.line(f"{formulation}: no checkpoint in {out}, begins at the start")
+        return None
+    saved = checkpoint.read(path, comm)
+    if not {"scene", "formulation", "step", "times", "start"} <= set(saved.more):
+        raise CheckpointError(f"{path}: no checkpoint of a run")
+    if different := differences(saved.more["scene"], scene):
+        raise CheckpointError(f"{path}: is of another scene: {different[0]}")
+    if saved.more["formulation"] != formulation:
+        raise CheckpointError(
+            f"{path}: is of the formulation {saved.more['formulation']}, not of {formulation}"
+        )
+    return saved
 
 
 def comparison(scene: Scene, main: Run, baseline: Run) -> list[str]:
@@ -126,7 +212,8 @@ def comparison(scene: Scene, main: Run, baseline: Run) -> list[str]:
 
 
 def _cell(run: Run, step: int) -> str:
-    if step >= len(run.results):
+    step -= run.before
+    if not 0 <= step < len(run.results):
         return f"{'-':>10} {'-':>10}"
     result = run.results[step]
     iterations = f"{result.iterations}"
@@ -144,7 +231,7 @@ def _draw(scene: Scene, body: Body, state: State, out: Path, screen: Screen) -> 
     if reason is None:
         screen.line(f"picture: {out / 'picture.png'}")
     else:
-        write_surface(out / "picture.vtu", state)
+        as_mesh(state).write(out / "picture.vtu")
         screen.line(f"no picture ({reason}); the body to draw is in {out / 'picture.vtu'}")
 
 

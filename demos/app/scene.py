@@ -119,6 +119,9 @@ class Scene:
         globalisation: What keeps Newton's method from diverging; None for the solver's choice. Not
             for the baseline.
         baseline: A formulation to run after, for comparison.
+        keys: All keys of the file by their places, such as "time.h", those of the command line
+            among them.
+        text: Of the file.
     """
 
     name: str
@@ -141,6 +144,8 @@ class Scene:
     solver: str
     globalisation: str | None
     baseline: str | None
+    keys: Mapping[str, Any]
+    text: str = ""
 
     @property
     def gravity(self) -> tuple[float, ...]:
@@ -157,6 +162,16 @@ class Overrides:
     formulation: str | None = None
     material: str | None = None
     solver: str | None = None
+
+    def keys(self) -> dict[str, Any]:
+        """Those that are given, by their places in a scene."""
+        places = {
+            "time.steps": self.steps,
+            "solve.formulation": self.formulation,
+            "material": self.material,
+            "solve.solver": self.solver,
+        }
+        return {place: value for place, value in places.items() if value is not None}
 
 
 def built_in() -> dict[str, Path]:
@@ -220,7 +235,8 @@ def parse(
         SceneError: See `load`.
     """
     source = str(path) if source is None else source
-    return build(as_tables(text, source), path, overrides, source)
+    scene = build(as_tables(text, source), path, overrides, source)
+    return replace(scene, text=text)
 
 
 def as_tables(text: str, source: str) -> dict[str, Any]:
@@ -287,7 +303,19 @@ def build(data: dict[str, Any], path: Path, overrides: Overrides, source: str) -
         solver=solver,
         globalisation=globalisation,
         baseline=baseline,
+        keys={**_flat(data), **overrides.keys()},
     )
+
+
+def _flat(value: Any, place: str = "") -> dict[str, Any]:
+    """Nested tables as one, with dotted keys."""
+    if isinstance(value, dict):
+        inner = [(f"{place}.{key}" if place else key, v) for key, v in value.items()]
+    elif isinstance(value, list) and value and all(isinstance(v, dict) for v in value):
+        inner = [(f"{place}.{k}", v) for k, v in enumerate(value, start=1)]
+    else:
+        return {place: value}
+    return {key: v for where, one in inner for key, v in _flat(one, where).items()}
 
 
 def _control(time: Table, *, always: bool) -> StepControl | None:

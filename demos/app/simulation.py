@@ -26,6 +26,7 @@ from forms import (
     Model,
     by_tag,
     cell_values,
+    deformation_gradient,
     displacement_field,
     von_mises_stress,
 )
@@ -41,7 +42,7 @@ from meshes import (
     refine,
     told_parts,
 )
-from solvers import MixedProblem, SolveResult, march
+from solvers import MixedProblem, Pace, SolveResult, march
 
 logger = logging.getLogger("mixed_fem")
 
@@ -117,6 +118,7 @@ class Simulation:
         problem: The Newton system.
         scheme: The time scheme; knows time and velocity.
         account: Works of loads and motions, and reactions of the latter in the scene's order.
+        pace: Where `march` stands.
     """
 
     def __init__(self, scene: Scene, body: Body, formulation: str) -> None:
@@ -165,20 +167,25 @@ class Simulation:
                 globalisation=scene.globalisation if formulation == scene.formulation else None,
             )
         self._control = scene.control
+        self.pace = Pace()
         self._energies = self.model.energies(self.scheme)
         self.account = Account(self.model, self.scheme, self.problem.unbalanced_forces)
         u, stretch = self.model.u, self.model.stretch(self.scheme)
         self._stretch = CellMeans(stretch, u)
+        self._gradient = CellMeans(deformation_gradient(u), u)
         self._stress = CellMeans(self.model.stress(self.scheme), u)
         self._von_mises = CellMeans(von_mises_stress(stretch, psi), u)
 
     def march(self, steps: int) -> Iterator[SolveResult]:
-        """Yield the result of each step.
+        """Yield the result of each step; go on from where `pace` stands.
+
+        Args:
+            steps: Of the length of the scene, from the very beginning.
 
         Raises:
             ConvergenceError: A step failed; the state is that after the step before.
         """
-        return march(self.problem, self.scheme, steps, self.account, self._control)
+        return march(self.problem, self.scheme, steps, self.account, self._control, self.pace)
 
     def energies(self) -> Energies:
         """Energies [J] of the whole body after the last step. Collective."""
@@ -187,6 +194,10 @@ class Simulation:
     def stretch(self) -> npt.NDArray[np.float64]:
         """Right stretch S on the owned cells, shape (owned cells, d, d)."""
         return self._stretch.values()
+
+    def gradient(self) -> npt.NDArray[np.float64]:
+        """Deformation gradient F on the owned cells, shape (owned cells, d, d)."""
+        return self._gradient.values()
 
     def stress(self) -> npt.NDArray[np.float64]:
         """First Piola-Kirchhoff stress Λ [Pa] on the owned cells, shape (owned cells, d, d)."""

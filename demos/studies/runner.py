@@ -13,7 +13,7 @@ from pathlib import Path
 
 from mpi4py import MPI
 
-from demos.app.output import make_folder
+from demos.app.files import make_folder
 from demos.app.progress import Screen
 from demos.studies.records import Record, of_case, plain
 from demos.studies.sources import sources

@@ -25,6 +25,7 @@ import cffi
 import ffcx.codegeneration
 from dolfinx.jit import DOLFINX_DEFAULT_JIT_OPTIONS, get_options
 
+from forms.compilation import CompilationError, no_cache, no_compiler
 from solvers.engine.source import Source
 
 logger = logging.getLogger("mixed_fem")
@@ -57,7 +58,7 @@ def load(comm: MPI.Comm, source: Source) -> tuple[Any, cffi.FFI]:
     """Compile the source, or find what it has been compiled to before. Collective.
 
     Raises:
-        RuntimeError: On all ranks: there is no compiler, or it failed.
+        CompilationError: On all ranks: there is no compiler, it failed, or there is no cache.
     """
     key = hashlib.sha256(f"{source.key}{_compiler()}{_flags()}{_processor()}".encode()).hexdigest()[
         :32
@@ -69,39 +70,35 @@ def load(comm: MPI.Comm, source: Source) -> tuple[Any, cffi.FFI]:
     if missing[comm.rank] and missing.index(key) == comm.rank:
         try:
             _compile(source, path)
-        except (OSError, subprocess.SubprocessError) as e:
-            error = f"the C compiler {shlex.join(_compiler())!r} failed: {_in_a_line(e)}"
+        except CompilationError as e:
+            error = str(e)
     if failed := next(filter(None, comm.allgather(error)), ""):
-        raise RuntimeError(failed)
+        raise CompilationError(failed)
     return _ffi.dlopen(str(path)), _ffi
 
 
 def _compile(source: Source, path: Path) -> None:
     logger.info("compiling the energy density (kept on disk afterwards)")
     start = time.perf_counter()
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=path.parent, prefix="mixed_fem_") as folder:
-        code, library = Path(folder) / "point.c", Path(folder) / "point.so"
-        code.write_text(source.text(), "utf-8")
-        include = f"-I{ffcx.codegeneration.get_include_path()}"
-        subprocess.run(
-            [
-                *_compiler(),
-                *_flags(),
-                "-shared",
-                "-fPIC",
-                include,
-                str(code),
-                "-o",
-                str(library),
-                "-lm",
-            ],
-            check=True,
-            capture_output=True,
-            text=True,
-        )
-        os.replace(library, path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=path.parent, prefix="mixed_fem_") as folder:
+            code, library = Path(folder) / "point.c", Path(folder) / "point.so"
+            code.write_text(source.text(), "utf-8")
+            _call_compiler(code, library)
+            os.replace(library, path)
+    except OSError as e:
+        raise no_cache(path.parent, e) from e
     logger.info("compiled in %.1f s", time.perf_counter() - start)
+
+
+def _call_compiler(code: Path, library: Path) -> None:
+    include = f"-I{ffcx.codegeneration.get_include_path()}"
+    command = [*_compiler(), *_flags(), "-shared", "-fPIC", include, str(code), "-o", str(library)]
+    try:
+        subprocess.run([*command, "-lm"], check=True, capture_output=True, text=True)
+    except (OSError, subprocess.SubprocessError) as e:
+        raise no_compiler(f"{shlex.join(_compiler())}: {_in_a_line(e)}") from e
 
 
 def _in_a_line(error: Exception) -> str:

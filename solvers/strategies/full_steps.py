@@ -36,6 +36,7 @@ class ResidualSearch(Strategy):
         newton.restart("full steps diverge: from the start again, with a line search")
         search = newton.snes.getLineSearch()
         search.setType("bt" if newton.alone else "l2")
-        converged = newton.iterate(growth=DIVERGING)
-        search.setType("basic")
-        return converged
+        try:
+            return newton.iterate(growth=DIVERGING)
+        finally:
+            search.setType("basic")

@@ -42,9 +42,10 @@ class Watchdog(ResidualSearch):
     def _search(self) -> bool:
         self._norms: list[float] = []
         self._impatient = self._down is not None
-        converged = super()._search()
-        self._impatient = False
-        return converged
+        try:
+            return super()._search()
+        finally:
+            self._impatient = False
 
     def _descend(self, down: _Down) -> bool:
         newton, x = self.newton, self.newton.system.x
@@ -56,9 +57,11 @@ class Watchdog(ResidualSearch):
             done = newton.iterations
             x.array_w[:] = lowest
             newton.steer(down)
-            converged = down.descend(DOWN)
-            down.release()
-            newton.steer(self)
+            try:
+                converged = down.descend(DOWN)
+            finally:
+                down.release()
+                newton.steer(self)
             lowest[:] = x.array_r
             if converged or newton.halted:
                 return converged

@@ -7,7 +7,6 @@ import io
 import os
 import re
 from pathlib import Path
-from xml.etree import ElementTree as ET
 
 from mpi4py import MPI
 
@@ -18,7 +17,8 @@ from dolfinx import fem
 
 from demos.app import picture
 from demos.app.cli import main
-from demos.app.output import final_state, write_surface
+from demos.app.fields import as_mesh
+from demos.app.output import final_state
 from demos.app.progress import Screen
 from demos.app.scene import Scene, parse
 from demos.app.simulation import Simulation, build_body
@@ -83,16 +83,9 @@ def table(path: Path) -> dict[str, np.ndarray]:
 
 def last_fields(folder: Path) -> tuple[float, float]:
     """The largest |S - I| and |u| in the last of the files for ParaView."""
-    last = sorted((folder / "fields").glob("fields_p*_000003.vtu"))
-    assert len(last) == COMM.size
-    arrays = {"u": [], "|S - I|": []}
-    for path in last:
-        for array in ET.parse(path).iter("DataArray"):
-            if array.get("Name") in arrays:
-                values = np.array((array.text or "").split(), dtype=float)
-                rows = values.reshape(-1, int(array.get("NumberOfComponents") or 1))
-                arrays[array.get("Name")].extend(np.linalg.norm(rows, axis=1))
-    return max(arrays["|S - I|"]), max(arrays["u"])
+    mesh = meshio.read(sorted((folder / "fields").glob("fields*.vtu"))[-1])
+    moved = np.linalg.norm(mesh.point_data["u"], axis=1)
+    return mesh.cell_data["|S - I|"][0].max(), moved.max()
 
 
 @pytest.mark.parametrize("formulation", LOCAL)
@@ -199,7 +192,7 @@ def test_surfaces_list_vertices_in_the_order_of_vtk(cell, volume, tmp_path):
     state = final_state(Simulation(given, build_body(given, COMM), "displacement"))
     if state is None:
         return
-    write_surface(tmp_path / "body.vtu", state)
+    as_mesh(state).write(tmp_path / "body.vtu")
     (block,) = meshio.read(tmp_path / "body.vtu").cells
     corners = state["X"][block.data]
     to = corners - corners[:, :1]
@@ -311,18 +304,33 @@ def test_energies_balance(strip):
 
 def test_a_rerun_replaces_its_own_files_and_no_others(strip, tmp_path, undrawn):
     out = tmp_path / "out"
+    assert main(["run", str(strip), "--out", str(out), "--steps", "2"]) == 0
     if COMM.rank == 0:
-        (out / "fields").mkdir(parents=True)
-        for name in ("notes.txt", "final.npz", "fields/mine.vtu", "fields/fields_p7_000000.vtu"):
+        for name in ("notes.txt", "fields/mine.vtu"):
             (out / name).write_text("old")
     COMM.barrier()
+    assert (out / "fields" / "fields000002.vtu").exists()
     assert main(["run", str(strip), "--out", str(out), "--steps", "1"]) == 0
     assert (out / "notes.txt").read_text() == "old"
     assert (out / "fields" / "mine.vtu").read_text() == "old"
-    assert not (out / "fields" / "fields_p7_000000.vtu").exists()
+    assert not (out / "fields" / "fields000002.vtu").exists()
     with np.load(out / "final.npz") as final:
         assert final["t"] == pytest.approx(0.05)
     assert len(table(out / "history.csv")["step"]) == 1
+
+
+@pytest.mark.parametrize("name", ["final.npz", "history.csv", "picture.png", "run.json"])
+def test_files_of_others_are_not_overwritten(name, strip, tmp_path, capfd):
+    out = Path(COMM.bcast(str(tmp_path))) / "out"
+    if COMM.rank == 0:
+        out.mkdir()
+        (out / name).write_text("mine")
+    COMM.barrier()
+    assert main(["run", str(strip), "--out", str(out)]) == 2
+    error = COMM.bcast(capfd.readouterr().err)
+    assert f"{name} there is not of a run of mixed-fem, and would be overwritten" in error
+    assert (out / name).read_text() == "mine"
+    assert sorted(p.name for p in out.iterdir()) == sorted({name, "fields"})
 
 
 def test_bad_input_loses_no_former_results(strip, tmp_path, undrawn):
