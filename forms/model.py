@@ -9,6 +9,7 @@ from typing import NamedTuple
 from mpi4py import MPI
 
 import numpy as np
+import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from ufl.core.expr import Expr
@@ -108,7 +109,11 @@ class Model:
                 raise ValueError("damping needs the moduli of the material; give it moduli = ...")
             d = body.mesh.geometry.dim
             self._S_old = point_field(
-                body.mesh, np.eye(d), degree=degree, symmetric=True, name="S_old"
+                body.mesh,
+                np.eye(d),
+                degree=self.form.degree_of_u(degree),
+                symmetric=True,
+                name="S_old",
             )
             self.histories.append(History(self._S_old, Model.stretch))
         self._inverted = None if self.form.sees_inversion else InvertedCells(self.u)
@@ -158,13 +163,29 @@ class Model:
         """End a step: update the history variables, then advance the scheme. Collective.
 
         Warns of more cells turned inside out than before, where the formulation does not see them.
+
+        Raises:
+            FloatingPointError: On all ranks: a history variable would not be finite. Nothing has
+                changed then.
         """
         values = [history.after_step(self, scheme) for history in self.histories]
+        for history, new in zip(self.histories, values, strict=True):
+            self._insist_on_numbers(history.field, new)
         for history, new in zip(self.histories, values, strict=True):
             history.field.x.array[:] = new
         scheme.advance()
         if self._inverted is not None:
             self._warn_of_inversion(self._inverted.count())
+
+    def _insist_on_numbers(self, f: fem.Function, values: npt.NDArray[np.float64]) -> None:
+        V = f.function_space
+        bad = ~np.isfinite(values.reshape(-1, V.dofmap.index_map_bs)).all(axis=1)
+        numbers = V.mesh.topology.original_cell_index[bad[V.dofmap.list].any(axis=1)]
+        found = [int(n.min()) for n in V.mesh.comm.allgather(numbers) if len(n)]
+        if found:
+            raise FloatingPointError(
+                f"the history variable {f.name} is not finite in cell {min(found)} (from 0)"
+            )
 
     def _warn_of_inversion(self, count: int) -> None:
         if count > self._known_inverted and self.body.mesh.comm.rank == 0:

@@ -201,9 +201,10 @@ class Newton:
             self._continued = True
             self._pass_to(end, growth, forced=False)
         if self.reason == Reason.DIVERGED_FUNCTION_NANORINF:
-            norms = self.system.unknowns.norms(self.system.b)
-            names = ", ".join(name for name, norm in norms.items() if not np.isfinite(norm))
-            self.failure = f"no finite residual of {names}" if names else ""
+            where = self.system.unknowns.not_finite(self.system.b)
+            self.failure = f"no finite residual of {where}" if where else ""
+            if len(self.history.residuals) <= 1 and where:
+                self.failure += ": is a load, a motion or the state it began from no number?"
         elif self.reason == Reason.DIVERGED_DTOL and not self.failure:
             self.failure = self._growth_told()
         elif self.reason == Reason.DIVERGED_LINEAR_SOLVE:

@@ -68,6 +68,8 @@ def free_motions(newton: Newton, bcs: Sequence[fem.DirichletBC]) -> str:
         state.destroy()
         return np.array(b.array_r)
 
+    if not comm.allreduce(bool(np.isfinite(before).all()), MPI.LAND):
+        return ""
     held = np.zeros(before.size, dtype=bool)
     for bc in bcs:
         if V._cpp_object.contains(bc.function_space):

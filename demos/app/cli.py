@@ -47,8 +47,8 @@ def _of_compilation(error: RuntimeError) -> str:
     """What the error says if it is one of compilation, on any rank; else nothing."""
     if isinstance(error, CompilationError):
         return str(error)
-    _, known, told = str(error).partition("JIT compilation of form: ")
-    return told if known else ""
+    # What DOLFINx makes of it on several ranks; the others only know that it failed.
+    return str(error).partition(" of form: ")[2] or str(error) if "JIT comp" in str(error) else ""
 
 
 def _terminate(number: int, frame: object) -> NoReturn:

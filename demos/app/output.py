@@ -142,8 +142,9 @@ class Output:
     def iterations(self, result: SolveResult) -> None:
         """Record the Newton iterations of the step under way, finished or failed. Collective."""
         for k, (norms, norm) in enumerate(zip(result.norms, result.residuals, strict=True)):
-            values = (norms[name] for name in self._names)
-            self._newton.row([self.steps + 1, k, norm, *values, result.notes.get(k, "")])
+            numbers = [norm, *(norms[name] for name in self._names)]
+            told = [number if np.isfinite(number) else "" for number in numbers]
+            self._newton.row([self.steps + 1, k, *told, result.notes.get(k, "")])
 
     def checkpoint(self) -> None:
         """Write what a later run can go on from, to the last bit. Collective.

@@ -140,6 +140,8 @@ def _march(
                 f"{formulation}: step {output.steps + 1} of {scene.steps} failed, the state at t = "
                 f"{simulation.scheme.t:g} s is kept in {out}: {error}"
             )
+        except FloatingPointError as error:
+            failure = f"{formulation}: step {output.steps + 1} of {scene.steps} failed: {error}"
         except KeyboardInterrupt as error:
             output.checkpoint()
             output.final()

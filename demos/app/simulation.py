@@ -19,6 +19,7 @@ from ufl.core.expr import Expr
 from demos.app.scene import Scene
 from demos.app.tables import SceneError
 from forms import (
+    FORMULATIONS,
     SCHEMES,
     Account,
     Energies,
@@ -135,7 +136,8 @@ class Simulation:
         """
         self.body = body
         h = fem.Constant(body.mesh, scene.h)
-        psi, rho, histories, moduli = _material(scene, body, h)
+        degree = FORMULATIONS[formulation].degree_of_u(scene.degree)
+        psi, rho, histories, moduli = _material(scene, body, degree, h)
         damping = replace(scene.damping, moduli=moduli)
         told_formulation = f'[solve] formulation = "{formulation}"'
         with _told_at(scene, told_formulation):
@@ -227,13 +229,20 @@ class CellMeans:
 
 
 def _material(
-    scene: Scene, body: Body, h: fem.Constant
+    scene: Scene, body: Body, degree: int, h: fem.Constant
 ) -> tuple[StrainEnergy, float | Expr, list[History], tuple[float | Expr, float | Expr]]:
-    """Strain energy, density, history variables and rest moduli (μ, λ), by cell tag if needed."""
+    """Strain energy, density, history variables and rest moduli (μ, λ), by cell tag if needed.
+
+    Args:
+        scene: The scene.
+        body: Its body.
+        degree: Of the displacement.
+        h: Time step.
+    """
     laws: list[StrainEnergy] = []
     histories: list[History] = []
     for region in scene.regions:
-        psi, remembered = region.material.with_histories(body.mesh, scene.degree, h)
+        psi, remembered = region.material.with_histories(body.mesh, degree, h)
         laws.append(psi)
         histories += remembered
     if len(laws) == 1:

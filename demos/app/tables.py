@@ -16,6 +16,9 @@ class SceneError(ValueError):
 
 _REQUIRED: Any = object()
 
+LARGEST = 1e60
+"""Beyond, products of five such numbers leave the range of double precision."""
+
 
 @dataclass
 class Table:
@@ -104,6 +107,10 @@ class Table:
         value = self.value(key, default)
         if not is_number(value) or value <= 0:
             self.fail(key, f"must be {what}, above 0")
+        if not 1 / LARGEST <= value <= LARGEST:
+            self.fail(
+                key, f"must lie between {1 / LARGEST:g} and {LARGEST:g}, so that products fit"
+            )
         return float(value)
 
     def count(self, key: str, default: Any = _REQUIRED) -> int:

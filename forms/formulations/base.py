@@ -50,6 +50,10 @@ class Formulation(ABC):
             ValueError: Unsupported cells or degree.
         """
 
+    def degree_of_u(self, degree: int) -> int:
+        """Return the degree of the displacement for that of the element."""
+        return degree
+
     @abstractmethod
     def density(self, *fields_and_psi: Any, **named: Any) -> Expr:
         """Return the energy density [J/m³] without inertia, of (*fields, psi).

@@ -98,6 +98,10 @@ class TaylorHood(MeanDilatation):
     name = "taylor-hood"
     description = "as mean-dilatation, p continuous, u of degree + 1: no locking on simplices"
 
+    def degree_of_u(self, degree: int) -> int:
+        """Return the degree of the displacement for that of the pressure."""
+        return degree + 1
+
     def fields(self, msh: mesh.Mesh, degree: int = 1) -> Fields:
         """Return u, S, Y, θ, p at rest.
 
@@ -107,7 +111,7 @@ class TaylorHood(MeanDilatation):
         """
         if degree < 1:
             raise ValueError(f"degree is {degree}; a continuous pressure has degree 1 or more")
-        u, S, Y = mixed_fields(msh, degree=degree + 1)
+        u, S, Y = mixed_fields(msh, degree=self.degree_of_u(degree))
         points = local_space(msh, quadrature_degree(u.function_space))
         theta = fem.Function(points, name="theta")
         set_everywhere(theta, 1.0)

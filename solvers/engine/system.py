@@ -169,8 +169,8 @@ class EngineProblem:
             self._set_conditions(f, wanted)
             jump = f.x.array[dofs] - wanted[dofs]
             # Rounding of a step that has met the conditions is no jump.
-            resolved = np.abs(jump) > 4 * np.finfo(float).eps * np.abs(f.x.array[dofs])
-            vector.array[dofs] = np.where(resolved, jump, 0.0)
+            rounding = np.abs(jump) <= 4 * np.finfo(float).eps * np.abs(f.x.array[dofs])
+            vector.array[dofs] = np.where(rounding, 0.0, jump)
         parts = self.layout.split(b.array_w)
         for part, values, scale in zip(parts, self._arrays, self.unknowns.scales, strict=True):
             part[:] = scale * values[: len(part)]
