@@ -139,7 +139,7 @@ def _write(path: Path, values: Mapping[str, Array]) -> None:
 
 def _read(path: Path) -> Checkpoint:
     try:
-        with np.load(path, allow_pickle=False) as data:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as data:
             values = {name: data[name] for name in data.files}
         about = json.loads(str(values.pop("about")))
         version, more = about["format"], about["more"]

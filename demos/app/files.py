@@ -116,14 +116,12 @@ class Csv:
             kept: Rows are kept whose first column is at most this; None for a new table.
         """
         self._comm, self._path = comm, path
-        self._file: io.TextIOWrapper | None = None
 
         def begin() -> None:
             rows = [] if kept is None else _rows(path, columns, kept)
             text = io.StringIO(newline="")
             csv.writer(text).writerows([columns, *rows])
             write_whole(path, lambda p: p.write_text(text.getvalue(), "utf-8", newline=""))
-            self._file = path.open("a", newline="", encoding="utf-8")
 
         on_rank_0(comm, path, begin)
 
@@ -131,16 +129,10 @@ class Csv:
         """Write a row. Collective."""
 
         def write() -> None:
-            assert self._file is not None
-            csv.writer(self._file).writerow(values)
-            self._file.flush()
+            with self._path.open("a", newline="", encoding="utf-8") as file:
+                csv.writer(file).writerow(values)
 
         on_rank_0(self._comm, self._path, write)
-
-    def close(self) -> None:
-        """Close the file."""
-        if self._file is not None:
-            self._file.close()
 
 
 def _rows(path: Path, columns: Sequence[str], kept: int) -> list[list[str]]:

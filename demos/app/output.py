@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -31,7 +30,7 @@ Array = npt.NDArray[Any]
 
 
 class Output:
-    """The files of one run, written as the run goes; a context manager.
+    """The files of one run, written as the run goes.
 
     - ``run.json``: what was run, and by what.
     - ``history.csv``: a row a step, on disk when the step is done: iterations, residuals, energies
@@ -57,7 +56,7 @@ class Output:
         about: Mapping[str, Any],
         resumed: Checkpoint | None = None,
     ) -> None:
-        """Clear the folder and open the files. Collective.
+        """Clear the folder and begin the files. Collective.
 
         Args:
             folder: Where to write.
@@ -101,20 +100,6 @@ class Output:
         if resumed is None:
             self._fields.write(final_state(simulation), simulation.scheme.t)
             self.checkpoint()
-
-    def __enter__(self) -> Output:
-        """Return self."""
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Close the files."""
-        self._history.close()
-        self._newton.close()
 
     def step(self, result: SolveResult) -> None:
         """Record a step that has been solved and advanced. Collective."""

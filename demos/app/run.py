@@ -121,7 +121,8 @@ def _march(
         saved.put(body, simulation.model, simulation.scheme)
     results: list[SolveResult] = []
     failure = ""
-    with deferred(), Output(out, simulation, told, saved) as output:
+    with deferred():
+        output = Output(out, simulation, told, saved)
         begun = "" if saved is None else f", goes on after step {output.steps}"
         screen.line(f"{formulation}: ready after {time.perf_counter() - start:.1f} s{begun}")
         before = output.steps
