@@ -12,7 +12,9 @@ import json
 import logging
 import os
 import re
+import shlex
 import socket
+import sysconfig
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -38,11 +40,16 @@ class CompilationError(RuntimeError):
     """Forms cannot be compiled; the message is one line that names the remedy."""
 
 
+def compiler() -> list[str]:
+    """The command that compiles C."""
+    return shlex.split(os.environ.get("CC") or sysconfig.get_config_var("CC") or "cc")
+
+
 def no_compiler(said: str) -> CompilationError:
     """The error for a C compiler that has said something."""
     return CompilationError(
-        f"the C compiler failed: {said}; install one (Debian: apt install gcc libc6-dev), or name "
-        "it in the environment variable CC"
+        f"the C compiler {shlex.join(compiler())!r} failed: {said}; install one (Debian: apt "
+        "install gcc libc6-dev), or name it in the environment variable CC"
     )
 
 

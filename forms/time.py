@@ -72,7 +72,7 @@ class Scheme(ABC):
         self.h = h if isinstance(h, fem.Constant) else fem.Constant(V.mesh, float(h))
         self.t = 0.0
         self._h_before = 0.0  # of the step before, none as yet
-        self._a_before = fem.Function(V)
+        self._a_before = np.zeros_like(u.x.array)
 
     @abstractmethod
     def kinetic(self, rho: float | Expr) -> Expr:
@@ -118,8 +118,8 @@ class Scheme(ABC):
         h, a = float(self.h.value), self._acceleration()
         error = self.error_constant * h**2 * a
         if self.order > 1:
-            before, a_before = self._h_before or h, self._a_before.x.array
-            error = 2 * h / (h + before) * self.error_constant * h**2 * (a - a_before)
+            before = self._h_before or h
+            error = 2 * h / (h + before) * self.error_constant * h**2 * (a - self._a_before)
         comm = self.u.function_space.mesh.comm
         return float(comm.allreduce(np.abs(error).max(initial=0.0), MPI.MAX))
 
@@ -127,7 +127,7 @@ class Scheme(ABC):
         """Take the current displacement as the end of the step."""
         if self.inertial:
             self._h_before = float(self.h.value)
-            self._a_before.x.array[:] = self._acceleration()
+            self._a_before[:] = self._acceleration()
         self.v.x.array[:] = self.velocity()
         self.u_old.x.array[:] = self.u.x.array
         self.t = self.end

@@ -59,7 +59,8 @@ class Where:
             else:
                 close = difflib.get_close_matches(str(key), _KEYS, n=1)
                 hint = f" (did you mean {close[0]}?)" if close else ""
-                raise ValueError(f"unknown key {key}{hint}; known: {', '.join(_KEYS)}")
+                told = key if str(key).isprintable() else repr(key)
+                raise ValueError(f"unknown key {told}{hint}; known: {', '.join(_KEYS)}")
         return cls(tuple(extents), vertices, tag)
 
     def __str__(self) -> str:

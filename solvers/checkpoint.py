@@ -72,6 +72,8 @@ class Checkpoint:
                 put_all(body, f, self.values[name])
             except ValueError as e:
                 raise CheckpointError(f"{self.path}: is of another body or degree: {e}") from e
+        for name, values in _arrays(scheme).items():
+            values[:] = functions[name].x.array
         for name in numbers:
             _set_number(scheme, name, self.values[name])
 
@@ -171,7 +173,20 @@ def _functions(model: Model, scheme: Scheme) -> dict[str, fem.Function[Any]]:
     for name, value in vars(scheme).items():
         if isinstance(value, fem.Function) and value is not scheme.u:
             found[f"scheme {name}"] = value
+    for name, values in _arrays(scheme).items():
+        found[name] = fem.Function(scheme.u.function_space)
+        found[name].x.array[:] = values
     return found
+
+
+def _arrays(scheme: Scheme) -> dict[str, Array]:
+    """All that a step changes and that is an array of degrees of freedom, by name."""
+    size = scheme.u.x.array.shape
+    return {
+        f"scheme {name}": value
+        for name, value in vars(scheme).items()
+        if isinstance(value, np.ndarray) and value.shape == size
+    }
 
 
 def _numbers(scheme: Scheme) -> dict[str, Array]:

@@ -14,6 +14,7 @@ from dolfinx import fem, la
 from solvers.condensation import Condensation
 from solvers.inner import InnerSolver
 from solvers.interruption import Guard
+from solvers.lifetime import shared_communicator
 from solvers.systems import System
 
 
@@ -59,7 +60,7 @@ class CondensedSolver:
             for f in (fields[k] for k in shared)
         ]
         self._blocks: Condensation | None = None
-        comm = self._V.mesh.comm
+        comm = self._layout.comm
         owned = sum(int(np.diff(self._layout.offsets)[k]) for k in shared)
         self._g = PETSc.Vec().createMPI((owned, None), comm=comm)
         self._z = self._g.duplicate()
@@ -223,7 +224,7 @@ def rigid_body_modes(V: fem.FunctionSpace) -> PETSc.NullSpace:
         mode[:, i], mode[:, j] = -X[:, j], X[:, i]
     la.orthonormalize(basis)
     owned = V.dofmap.index_map.size_local * d
-    comm = V.mesh.comm
+    comm = shared_communicator(V.mesh.comm)
     return PETSc.NullSpace().create(
         vectors=[PETSc.Vec().createWithArray(v.array[:owned].copy(), comm=comm) for v in basis],
         comm=comm,

@@ -7,11 +7,13 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from enum import Enum
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 
 from solvers.condensation import Condensation
+from solvers.lifetime import Factors
 from solvers.linear import LINEAR_REASONS, forget_factors
 from solvers.options import (
     FACTORISE_UP_TO,
@@ -53,7 +55,7 @@ class InnerSolver:
         unstable: What the last solve has shown of K that no stable state has; see `LinearSolver`.
     """
 
-    def __init__(self, comm: object, prefix: str, *, symmetric: bool, bs: int) -> None:
+    def __init__(self, comm: MPI.Comm, prefix: str, *, symmetric: bool, bs: int) -> None:
         """Take the options under a prefix.
 
         Args:
@@ -76,6 +78,7 @@ class InnerSolver:
                 "condensed_ksp_type=cg, or gmres"
             )
         self._symmetric = symmetric
+        self._right = Factors(comm, self)
         # Block by block a product takes less than half the time. The preconditioner is K's own.
         self._by_blocks = PETSc.Mat() if not self._direct and bs > 1 else None
         self._state = -1
@@ -237,6 +240,7 @@ class InnerSolver:
             factors.setUp()
         with self.timed("solve"):
             factors.solve(self._g, self._z)
+        self._right.used()
         self.iterations += factors.getIterationNumber()
         self._counted = factors.getConvergedReason() > 0
         if not self._counted:

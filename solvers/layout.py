@@ -6,10 +6,13 @@ from collections.abc import Sequence
 from typing import Any
 
 from mpi4py import MPI
+from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
+
+from solvers.lifetime import shared_communicator
 
 Ints = npt.NDArray[np.int64]
 
@@ -30,7 +33,7 @@ class BlockLayout:
     def __init__(self, fields: Sequence[fem.Function]) -> None:
         self._dofmaps = [f.function_space.dofmap for f in fields]
         mesh = fields[0].function_space.mesh
-        self.comm: MPI.Comm = mesh.comm
+        self.comm: MPI.Comm = shared_communicator(mesh.comm)
         self.block_sizes = [m.index_map_bs for m in self._dofmaps]
         self.cells: int = mesh.topology.index_map(mesh.topology.dim).size_local
         widths = {m.list.shape[1] for m in self._dofmaps[1:]}
@@ -45,6 +48,23 @@ class BlockLayout:
         # The same in the numbering of each field's own index map.
         sizes = np.diff(per_rank, axis=1)
         self._own_starts: Ints = np.cumsum(sizes, axis=0) - sizes
+
+    def create_vector(self) -> PETSc.Vec:
+        """Create a vector of the unknowns, as DOLFINx's of kind "mpi". Collective."""
+        owned = np.diff(self.offsets)
+        local = [self.local_dofs(f) for f in range(len(owned))]
+        ghosts = [
+            self.numbers(f, np.arange(owned[f], local[f], dtype=np.int32))
+            for f in range(len(owned))
+        ]
+        x = PETSc.Vec().createGhost(
+            np.concatenate(ghosts).astype(PETSc.IntType),
+            size=(int(self.offsets[-1]), None),
+            comm=self.comm,
+        )
+        ends = self.offsets[-1] + np.cumsum([0, *map(len, ghosts)])
+        x.setAttr("_blocks", (tuple(self.offsets.tolist()), tuple(ends.tolist())))
+        return x
 
     def split(self, owned: npt.NDArray[np.float64]) -> list[npt.NDArray[np.float64]]:
         """The owned part of a vector as a list of views, one for each field."""

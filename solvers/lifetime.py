@@ -1,8 +1,8 @@
-"""PETSc's objects are destroyed on all ranks together, whenever Python lets go of their owner.
+"""PETSc's objects: destroyed on all ranks together, and thrifty with communicators.
 
-Destroying one is collective, and Python's garbage collector runs when it likes on each rank. Left
-to PETSc's own delayed destruction they would stay for good, with a communicator each, of which
-MPICH has 2048.
+They are destroyed some time after Python lets go of their owner. Destroying one is collective, and
+Python's garbage collector runs when it likes on each rank. Left to PETSc's own delayed destruction
+they would stay for good, with a communicator each, of which MPICH has 2048.
 """
 
 from __future__ import annotations
@@ -18,6 +18,53 @@ _Group = tuple[int, ...]  # ranks of COMM_WORLD
 
 _serial = itertools.count()
 _dead: dict[tuple[_Group, int], Sequence[Any]] = {}
+_shared: list[MPI.Comm] = [MPI.COMM_WORLD, MPI.COMM_SELF]
+_factors: dict[tuple[_Group, int], weakref.ref[Any]] = {}
+
+MOST_FACTORS = 64
+"""Of so many solvers factors are kept. Those of MUMPS have four communicators each."""
+
+
+def shared_communicator(comm: MPI.Comm) -> MPI.Comm:
+    """One communicator of the same ranks for all of PETSc's objects. Collective.
+
+    DOLFINx gives each mesh and each index map one of its own, and PETSc makes another of each.
+    """
+    for known in _shared:
+        if MPI.Comm.Compare(comm, known) in (MPI.IDENT, MPI.CONGRUENT):
+            return known
+    _shared.append(comm.Dup())
+    return _shared[-1]
+
+
+class Factors:
+    """The right to keep factors, which the solvers lose that have not solved for the longest."""
+
+    def __init__(self, comm: MPI.Comm, owner: Any) -> None:
+        """Claim nothing yet.
+
+        Args:
+            comm: Communicator of the owner.
+            owner: A solver with a method `renew`, collective, that lets go of its factors.
+        """
+        self._comm, self._owner, self._group = comm, weakref.ref(owner), _group(comm)
+        self._key: tuple[_Group, int] | None = None
+
+    def used(self) -> None:
+        """Say that the factors have been used just now. Collective."""
+        if self._key is not None:
+            _factors.pop(self._key, None)
+        self._key = self._group, next(_serial)
+        _factors[self._key] = self._owner
+        here = {s: r for (group, s), r in _factors.items() if group == self._group}
+        if not self._comm.allreduce(len(here) > MOST_FACTORS, MPI.LOR):
+            return
+        alive = {s: owner for s, r in here.items() if (owner := r()) is not None}
+        common = sorted(set.intersection(*self._comm.allgather(set(alive))))
+        for serial in common[:-MOST_FACTORS]:
+            alive[serial].renew()
+        for serial in here.keys() - set(common[-MOST_FACTORS:]):
+            del _factors[self._group, serial]
 
 
 def destroy_with(owner: object, comm: MPI.Comm, belongings: Sequence[Any]) -> None:

@@ -214,6 +214,8 @@ def read_text(comm: MPI.Comm, scene: str) -> tuple[str, Path]:
             error = f"{scene}: cannot be read ({e.strerror})"
         except UnicodeDecodeError:
             error = f"{scene}: not a text file; a scene is written in TOML"
+        except ValueError as e:
+            error = f"{scene!r}: no name of a file ({e})"
     text, error = comm.bcast((text, error))
     if text is None:
         raise SceneError(error)

@@ -160,7 +160,8 @@ class Table:
         for key in self.data:
             if key not in self.known:
                 known = ", ".join(self.known)
-                raise self.error(f"unknown key {key}{suggestion(key, self.known)}; known: {known}")
+                told = key if key.isprintable() else json.dumps(key)
+                raise self.error(f"unknown key {told}{suggestion(key, self.known)}; known: {known}")
 
 
 def is_number(value: object) -> bool:

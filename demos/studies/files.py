@@ -60,6 +60,8 @@ def _imported(path: Path) -> ModuleType:
         raise StudyError(f"{path}: cannot be read ({e.strerror})") from e
     except UnicodeDecodeError as e:
         raise StudyError(f"{path}: not a text file; a study is written in Python") from e
+    except ValueError as e:
+        raise StudyError(f"{str(path)!r}: no name of a file ({e})") from e
     # The path is its name among the modules too, where no other has it.
     module = sys.modules[str(path)] = ModuleType(str(path))
     module.__file__ = str(path)

@@ -11,9 +11,7 @@ import hashlib
 import logging
 import os
 import platform
-import shlex
 import subprocess
-import sysconfig
 import tempfile
 import time
 from pathlib import Path
@@ -25,7 +23,7 @@ import cffi
 import ffcx.codegeneration
 from dolfinx.jit import DOLFINX_DEFAULT_JIT_OPTIONS, get_options
 
-from forms.compilation import CompilationError, no_cache, no_compiler
+from forms.compilation import CompilationError, compiler, no_cache, no_compiler
 from solvers.engine.source import Source
 
 logger = logging.getLogger("mixed_fem")
@@ -60,7 +58,7 @@ def load(comm: MPI.Comm, source: Source) -> tuple[Any, cffi.FFI]:
     Raises:
         CompilationError: On all ranks: there is no compiler, it failed, or there is no cache.
     """
-    key = hashlib.sha256(f"{source.key}{_compiler()}{_flags()}{_processor()}".encode()).hexdigest()[
+    key = hashlib.sha256(f"{source.key}{compiler()}{_flags()}{_processor()}".encode()).hexdigest()[
         :32
     ]
     path = Path(str(get_options()["cache_dir"])).expanduser() / f"mixed_fem_{key}.so"
@@ -94,11 +92,11 @@ def _compile(source: Source, path: Path) -> None:
 
 def _call_compiler(code: Path, library: Path) -> None:
     include = f"-I{ffcx.codegeneration.get_include_path()}"
-    command = [*_compiler(), *_flags(), "-shared", "-fPIC", include, str(code), "-o", str(library)]
+    command = [*compiler(), *_flags(), "-shared", "-fPIC", include, str(code), "-o", str(library)]
     try:
         subprocess.run([*command, "-lm"], check=True, capture_output=True, text=True)
     except (OSError, subprocess.SubprocessError) as e:
-        raise no_compiler(f"{shlex.join(_compiler())}: {_in_a_line(e)}") from e
+        raise no_compiler(_in_a_line(e)) from e
 
 
 def _in_a_line(error: Exception) -> str:
@@ -114,10 +112,6 @@ def _flags() -> list[str]:
     option = "cffi_extra_compile_args"
     given = get_options()[option]
     return [*FLAGS, *([] if given == DOLFINX_DEFAULT_JIT_OPTIONS[option][0] else given)]
-
-
-def _compiler() -> list[str]:
-    return shlex.split(os.environ.get("CC") or sysconfig.get_config_var("CC") or "cc")
 
 
 @functools.cache

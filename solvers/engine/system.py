@@ -12,7 +12,6 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem, la
-from dolfinx.fem.petsc import create_vector
 
 from solvers.condensation import Condensation
 from solvers.engine.couplings import Couplings, prescribed_dofs
@@ -110,8 +109,7 @@ class EngineProblem:
         self.layout = BlockLayout(fields)
         self._bcs = list(bcs)
         self._prescribed = [prescribed_dofs(f, bcs) for f in self._shared]
-        spaces = [f.function_space for f in fields]
-        self.x, self.b = create_vector(spaces, kind="mpi"), create_vector(spaces, kind="mpi")
+        self.x, self.b = self.layout.create_vector(), self.layout.create_vector()
         self._rest = Rest(rest, work, self._shared, self._bcs)
         self.data = cell_data(rest, work)
         self._r = [

@@ -194,7 +194,7 @@ def test_what_is_compiled_anew(cache, monkeypatch):
     assert (stretched(), cache()) == (end, 3)
     monkeypatch.setattr(library, "FLAGS", [*library.FLAGS, "-DANOTHER"])
     assert (stretched(), cache()) == (end, 4)
-    monkeypatch.setenv("CC", f"{' '.join(library._compiler())} -DTHIRD")
+    monkeypatch.setenv("CC", f"{' '.join(library.compiler())} -DTHIRD")
     assert (stretched(), cache()) == (end, 5)
 
 
