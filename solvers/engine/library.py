@@ -72,7 +72,13 @@ def load(comm: MPI.Comm, source: Source) -> tuple[Any, cffi.FFI]:
             error = str(e)
     if failed := next(filter(None, comm.allgather(error)), ""):
         raise CompilationError(failed)
-    return _ffi.dlopen(str(path)), _ffi
+    return _opened(path), _ffi
+
+
+@functools.cache
+def _opened(path: Path) -> Any:
+    """The library, opened once: nothing is ever freed of one."""
+    return _ffi.dlopen(str(path))
 
 
 def _compile(source: Source, path: Path) -> None:
