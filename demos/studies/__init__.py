@@ -7,6 +7,7 @@ from demos.studies.benchmark import BENCHMARK
 from demos.studies.conservation import CONSERVATION
 from demos.studies.cost import COST
 from demos.studies.duel import DUEL
+from demos.studies.endurance import ENDURANCE
 from demos.studies.equivalence import EQUIVALENCE
 from demos.studies.few_iterations import FEW_ITERATIONS
 from demos.studies.files import StudyError, studies_in
@@ -28,6 +29,7 @@ STUDIES: dict[str, Study] = {
         CONSERVATION,
         COST,
         DUEL,
+        ENDURANCE,
         EQUIVALENCE,
         FEW_ITERATIONS,
         LOCKING,

@@ -26,6 +26,11 @@ SUPPORTS = ("clamped", "free", "rotating")
 an initial velocity of up to 8/3 m/s, or spinning at 1 rad/s."""
 
 
+BASELINES: dict[str, str | None] = {"displacement": None, "on demand": "project-on-demand"}
+"""The displacement's Newton as it gets through most of `study duel`, by globalisation: full steps
+with a search and a way down behind them, and the tangent that is projected where it must be."""
+
+
 @dataclass
 class Bar:
     """A bar in one formulation, step by step.

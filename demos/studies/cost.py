@@ -1,9 +1,8 @@
 """`mixed-fem study cost`: what a mixed Newton iteration and step cost, beside the classical ones.
 
 The two formulations solve the same steps in turn, with the same mesh, material, linear solver and
-tolerances, both on the engine. The displacement Newton comes in two variants, and the faster one
-that gets through counts: full steps, with backtracking on the residual where they fail, and the
-positive semi-definite projected tangent with Armijo's condition on the energy.
+tolerances, both on the engine. The displacement Newton comes in two variants, see
+`demos.studies.bar.BASELINES`, and the faster one that gets through counts.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from mpi4py import MPI
 import numpy as np
 
 from demos.studies import cells as engine
-from demos.studies.bar import Bar, bar
+from demos.studies.bar import BASELINES, Bar, bar
 from demos.studies.memory import forget_peak, peak_memory
 from demos.studies.records import Column, Record, Remark, aligned, cells, matrix, select
 from demos.studies.study import Parameters, Study
@@ -25,7 +24,7 @@ from solvers.options import CONDENSED_CG
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-VARIANTS = ("mixed", "displacement", "projected")
+VARIANTS = ("mixed", *BASELINES)
 PHASES = ("residual", "jacobian", "condensation", "setup", "solve")
 
 # A bar of 4 m × 1 m × 1 m: cells across, 24 n³ tetrahedra.
@@ -70,7 +69,7 @@ def _build(comm: MPI.Comm, variant: str, case: Parameters) -> Bar:
         comm,
         "symmetric" if variant == "mixed" else "displacement",
         **{name: case[name] for name in ("n", "E", "h", "material")},
-        globalisation="projected-newton" if variant == "projected" else None,
+        globalisation=BASELINES.get(variant),
         options=always_cg if case["kind"] == "mesh" else None,
     )
 
@@ -179,7 +178,7 @@ def table(records: Sequence[Record]) -> list[str]:
         *aligned(rows),
         "",
         "Newton iterations and seconds a step, mixed against the better displacement variant",
-        "(d: full steps, backtracking on the residual where they fail; p: projected tangent), and",
+        "(d: full steps, a search where they fail; o: the tangent projected on demand), and",
         "how many times faster:",
         "",
         *aligned([list(_GRID), *(cells(r, _GRID) for r in select(records, kind="grid"))]),

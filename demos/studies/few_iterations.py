@@ -20,7 +20,7 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem, la
 
-from demos.studies.bar import RHO, Bar, bar
+from demos.studies.bar import BASELINES, RHO, Bar, bar
 from demos.studies.records import Column, Record, groups, in_columns
 from demos.studies.study import Parameters, Study
 from forms import displacement, refresh
@@ -38,8 +38,7 @@ COUNTS = (1, 2, 3, 5)
 METHODS: dict[str, tuple[str, str | None]] = {
     "mixed": ("symmetric", None),
     "mixed, as published": ("gauss-newton", None),
-    "displacement": ("displacement", None),
-    "displacement, projected": ("displacement", "projected-newton"),
+    **{name: ("displacement", globalisation) for name, globalisation in BASELINES.items()},
 }
 """Formulation and globalisation."""
 

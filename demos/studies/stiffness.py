@@ -1,8 +1,8 @@
 """`mixed-fem study stiffness`: Newton iterations and success over stiffness, step and support.
 
 Three bars, clamped, free and rotating, in a few steps each: of one material over its Young's
-modulus, and of two by turns over their contrast. The displacement's Newton is the better of two:
-backtracking on the residual, and the projected tangent with Armijo's condition.
+modulus, and of two by turns over their contrast. The displacement's Newton is the better of two,
+see `demos.studies.bar.BASELINES`.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from mpi4py import MPI
 
 import numpy as np
 
-from demos.studies.bar import SUPPORTS, bar
+from demos.studies.bar import BASELINES, SUPPORTS, bar
 from demos.studies.heat import colours, iterations
 from demos.studies.records import Column, Record, crossed, groups
 from demos.studies.study import Parameters, Study
@@ -23,10 +23,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 STEPS = 3
-VARIANTS = {
+VARIANTS: dict[str, tuple[str, str | None]] = {
     "mixed": ("symmetric", None),
-    "backtracking": ("displacement", None),
-    "projected": ("displacement", "projected-newton"),
+    **{name: ("displacement", globalisation) for name, globalisation in BASELINES.items()},
 }
 
 
@@ -84,7 +83,7 @@ def compute(comm: MPI.Comm, parameters: Parameters) -> Record:
 
 def classical(r: Record) -> float | None:
     """Mean iterations of the better displacement variant; None if both fail."""
-    found = [r[variant] for variant in ("backtracking", "projected") if r[variant] is not None]
+    found = [r[variant] for variant in BASELINES if r[variant] is not None]
     return min(found) if found else None
 
 

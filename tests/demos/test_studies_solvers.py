@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from demos.app.cli import main
-from demos.studies import cells, preconditioner, scaling
+from demos.studies import cells, endurance, preconditioner, scaling
 from demos.studies.records import groups, select
 from tests.demos.studies import computed, show
 
@@ -127,3 +127,12 @@ def test_scaling_is_not_run_on_ranks(capfd):
     assert main(["study", "scaling"]) == 2
     error = COMM.bcast(capfd.readouterr().err)
     assert error == "mixed-fem: study scaling starts ranks by itself; run it without mpiexec\n"
+
+
+@pytest.mark.serial
+def test_next_to_nothing_is_left_behind(quick):
+    records = quick("endurance")
+    assert {r["kind"] for r in records} == {"steps", "problems"}
+    assert all(r["memory"] > 0.05 and r["growth"] < endurance.MOST for r in records)
+    wrong = {**records[0], "growth": 0.05}
+    assert "memory +5.00%" in endurance.verdict([wrong])[0]
