@@ -10,12 +10,16 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from mpi4py import MPI
 
 from demos.studies.ranks import RanksError, on_ranks
 from demos.studies.records import Column, Record, in_columns
 from demos.studies.study import Parameters, Study
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 MOST = 0.01
 """By which part memory may grow."""
@@ -116,12 +120,25 @@ def verdict(records: Sequence[Record]) -> list[str]:
     return lines
 
 
+def draw(records: Sequence[Record], figure: Figure) -> None:
+    """How memory has grown."""
+    done = [r for r in records if not r["failure"]]
+    figure.set_size_inches(6.0, 0.4 * len(done) + 1.5)
+    plot = figure.subplots()
+    labels = [f"{r['count']} {r['kind']}, {r['solver']}, {r['ranks']} ranks" for r in done]
+    plot.barh(labels, [100 * r["growth"] for r in done])
+    plot.axvline(100 * MOST, color="k", lw=0.8)
+    plot.set(xlabel="growth of memory since the first tenth [%]")
+    plot.invert_yaxis()
+
+
 ENDURANCE = Study(
     name="endurance",
     description="memory, files and options after a thousand steps, and a thousand problems",
     grid=grid,
     compute=compute,
     table=table,
+    draw=draw,
     verdict=verdict,
     starts_ranks=True,
 )
