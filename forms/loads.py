@@ -73,6 +73,8 @@ class Load(ABC):
             if (name, msh) not in constants:
                 constants[name, msh] = fem.Constant(msh, np.array(self.at(name, 0.0), dtype=float))
             given = constants[name, msh]
+        if isinstance(given, fem.Constant) and not np.isfinite(given.value).all():
+            raise ValueError(f"{type(self).__name__}: {name} is {given.value}; it must be finite")
         if given.ufl_shape != shape:
             right = f"{shape[0]} numbers, as the body has dimensions" if shape else "one number"
             raise ValueError(f"{type(self).__name__}: {name} must be {right}")

@@ -87,9 +87,9 @@ class Model:
             degree: Of the element.
 
         Raises:
-            ValueError: There is no such formulation; cells or a degree that it does not take;
-                damping by a stiffness that is not known; or what the body raises for a part that it
-                does not have.
+            ValueError: There is no such formulation; a density that is not positive; cells or a
+                degree that it does not take; damping by a stiffness that is not known; or what the
+                body raises for a part that it does not have.
         """
         if isinstance(formulation, str) and formulation not in FORMULATIONS:
             known = ", ".join(FORMULATIONS)
@@ -97,6 +97,8 @@ class Model:
         self.body = body
         self.form = FORMULATIONS[formulation] if isinstance(formulation, str) else formulation
         self.psi = psi
+        if isinstance(rho, int | float) and not (np.isfinite(rho) and rho > 0.0):
+            raise ValueError(f"rho is {rho}; the density [kg/m³] must be positive and finite")
         self.rho = None if rho is None else as_constant(rho, body.mesh)
         self.fields: Fields = self.form.fields(body.mesh, degree)
         self.u = self.fields[0]

@@ -29,7 +29,7 @@ def gather_all(body: Body, f: Function[Any]) -> Array | None:
         return body.gather(f)
     blocks = V.dofmap.list[: len(body.file_cells)]
     values = f.x.array.reshape(-1, V.dofmap.index_map_bs)[blocks]
-    return body.gather(values.reshape(len(blocks), -1))
+    return body.gather(values.reshape(len(blocks), blocks.shape[1] * V.dofmap.index_map_bs))
 
 
 def put_all(body: Body, f: Function[Any], values: Array) -> None:

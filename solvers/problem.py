@@ -369,6 +369,11 @@ def _check_forms(
     missing = [f.name for f in fields if f not in energy.coefficients()]
     if missing:
         raise ValueError(f"the energy does not depend on the field {missing[0]}")
+    mesh = fields[0].function_space.mesh._cpp_object
+    for form in (energy, *([work] if work else [])):
+        for f in (*fields, *form.coefficients()):
+            if isinstance(f, fem.Function) and f.function_space.mesh._cpp_object is not mesh:
+                raise ValueError(f"{f.name} is on another mesh than {fields[0].name}")
     require_measure(energy)
     if work is not None:
         test = ufl.TestFunction(fields[0].function_space)

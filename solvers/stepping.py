@@ -109,9 +109,12 @@ def march(
             where that began, and h is what it was then.
 
     Raises:
+        ValueError: A negative number of steps.
         ConvergenceError: A step failed, at the smallest h too; the scheme and the fields are as
             after the step before.
     """
+    if steps < 0:
+        raise ValueError(f"steps is {steps}; it must be a whole number of 0 or more")
     pace = Pace() if pace is None else pace
     if pace.begin is None:
         pace.begin = scheme.t

@@ -259,6 +259,8 @@ def test_model_takes_loads_at_the_point_of_the_step():
         (HalfSpace((0.0, 0.0), 1.0), "HalfSpace: plane must be a normal of 2 numbers, not all 0"),
         (PointForce(1.0, TOP), "PointForce: force must be 2 numbers"),
         (Gravity((0.0, -9.81)), "Gravity needs a density; give the model one"),
+        (Gravity((np.nan, 0.0)), "Gravity: g is .*nan.*; it must be finite"),
+        (Traction(lambda t: (np.inf, t), TOP), "Traction: value is .*inf.*; it must be finite"),
     ],
 )
 def test_what_is_refused(load, message):
@@ -267,3 +269,44 @@ def test_what_is_refused(load, message):
     with pytest.raises(ValueError, match=message):
         model.virtual_work(scheme)
         model.energy(scheme)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Traction((1.0, 0.0), table=[]), "rows .time, factor"),
+        (lambda: Traction((1.0, 0.0), table=[(0.0, 0.0, 1.0)]), "rows .time, factor"),
+        (lambda: Gravity((1.0, 0.0), table=[(1.0, 0.0), (0.0, 1.0)]), "rows of growing times"),
+        (
+            lambda: Pressure(fem.Constant(bar(2).mesh, 1.0), table=[(0.0, 1.0)]),
+            "a table goes with numbers, and value is an expression",
+        ),
+    ],
+)
+def test_tables_that_are_refused(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
+
+
+@pytest.mark.parametrize("rho", [0.0, -1.0, np.nan, np.inf])
+def test_densities_that_are_refused(rho):
+    with pytest.raises(ValueError, match=r"the density .* must be positive and finite"):
+        Model(bar(2), "displacement", StableNeoHookean(10.0, 0.3), rho=rho)
+
+
+def test_a_table_multiplies():
+    """Linear between its rows, constant beyond, times what a function of time says."""
+    body = bar(2)
+    one = fem.Function(fem.functionspace(body.mesh, ("P", 1, (2,))))
+    one.x.array[:] = 1.0
+    table = [(1.0, 0.0), (2.0, 4.0)]
+    for load, factor in (
+        (Traction((0.5, 0.0), RIGHT, table=table), lambda t: 0.5),
+        (Traction(lambda t: (t, 0.0), RIGHT, table=table), lambda t: t),
+    ):
+        energy = fem.form(load.energy(body, one, None))
+        width = COMM.allreduce(fem.assemble_scalar(fem.form(1.0 * body.ds(RIGHT))))
+        for t, multiple in ((0.0, 0.0), (1.0, 0.0), (1.25, 1.0), (2.0, 4.0), (9.0, 4.0)):
+            load.set_time(t)
+            work = -COMM.allreduce(fem.assemble_scalar(energy))
+            assert work == pytest.approx(multiple * factor(t) * width)

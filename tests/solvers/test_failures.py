@@ -12,12 +12,20 @@ from dolfinx import fem
 from demos.studies.bar import bar
 from forms import (
     BackwardEuler,
+    Fixed,
+    Gravity,
+    History,
+    Model,
+    Prescribed,
+    StableNeoHookean,
     deformation_gradient,
     displacement_field,
     mixed_fields,
+    point_field,
     right_stretch,
 )
-from solvers import ConvergenceError, MixedProblem
+from meshes import Where, box
+from solvers import SOLVERS, ConvergenceError, MixedProblem, march
 from tests.states import small_mesh
 
 COMM = MPI.COMM_WORLD
@@ -88,3 +96,91 @@ def test_a_line_search_that_gets_nowhere_has_not_converged():
     (result,) = run.results
     assert result.residuals[-1] > 0.9 * result.residuals[0]
     assert run.failure == result.reason and result.reason.startswith("DIVERGED_LINE_SEARCH")
+
+
+def held(solver="condensed", load=None, histories=()):
+    """A bar that falls, by Model, and its parts."""
+    body = box(COMM, (2.0, 1.0), (4, 2))
+    model = Model(
+        body,
+        "symmetric",
+        StableNeoHookean(1e5, 0.3),
+        rho=1000.0,
+        loads=[Gravity(load or (0.0, -1.0))],
+        motions=[Fixed(Where(extents=(("x", "min"),)))],
+        histories=histories,
+    )
+    scheme = BackwardEuler(model.u, 0.1)
+    return MixedProblem(model.energy(scheme), model.fields, model.bcs, solver=solver), scheme, model
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_what_is_no_number_is_named(solver):
+    """Field and cell, whether a load, a motion or the state is at fault; nothing has changed."""
+    problem, scheme, model = held(solver, lambda t: (0.0, np.nan if t > 0.15 else -1.0))
+    list(march(problem, scheme, 1, model))
+    before = model.u.x.array.copy()
+    with pytest.raises(ConvergenceError, match=r"no finite residual of u in cell 0 \(from 0\)"):
+        list(march(problem, scheme, 1, model))
+    np.testing.assert_array_equal(model.u.x.array, before)
+    assert scheme.t == pytest.approx(0.1)
+
+    problem, scheme, model = held(solver)
+    stretches = model.fields[1].function_space.dofmap
+    here = model.body.mesh.topology.original_cell_index == 5
+    for block in stretches.list[here, 0]:
+        model.fields[1].x.array[3 * block] = np.inf
+    with pytest.raises(ConvergenceError, match=r"no finite residual of [SY] in cell 5 "):
+        problem.solve()
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_a_motion_that_is_no_number_is_named(solver):
+    body = box(COMM, (2.0, 1.0), (4, 2))
+    shaken = Prescribed(Where(extents=(("x", "min"),)), lambda X, t: np.full_like(X, np.nan))
+    model = Model(body, "symmetric", StableNeoHookean(1e5, 0.3), rho=1.0, motions=[shaken])
+    scheme = BackwardEuler(model.u, 0.1)
+    problem = MixedProblem(model.energy(scheme), model.fields, model.bcs, solver=solver)
+    with pytest.raises(ConvergenceError, match="no finite residual of"):
+        list(march(problem, scheme, 1, model))
+    assert np.isfinite(model.u.x.array).all()
+
+
+def test_a_history_that_is_no_number_is_named():
+    problem, scheme, model = held()
+    alpha = point_field(model.body.mesh, 0.0, name="alpha")
+    numbers = model.body.mesh.topology.original_cell_index
+    model.histories.append(
+        History(alpha, alpha + 1.0, lambda values: np.where(numbers == 7, np.nan, values))
+    )
+    with pytest.raises(FloatingPointError, match="variable alpha is not finite in cell 7"):
+        list(march(problem, scheme, 1, model))
+    assert scheme.t == 0.0 and np.isfinite(alpha.x.array).all()
+
+
+def test_fields_of_another_mesh_are_refused():
+    problem, _, model = held()
+    other = mixed_fields(box(COMM, (2.0, 1.0), (4, 2)).mesh)[0]
+    other.name = "w"
+    energy = ufl.inner(model.u, model.u) * ufl.dx(domain=model.body.mesh)
+    with pytest.raises(ValueError, match="w is on another mesh than u"):
+        MixedProblem(energy + other**2 * ufl.dx(domain=model.body.mesh), (model.u,))
+    assert problem.solve().iterations > 0
+
+
+def test_a_negative_number_of_steps_is_refused():
+    problem, scheme, model = held()
+    with pytest.raises(ValueError, match="steps is -1; it must be a whole number of 0 or more"):
+        list(march(problem, scheme, -1, model))
+
+
+@pytest.mark.serial
+def test_two_hundred_problems_at_once():
+    """Each with a mesh of its own; MPICH has 2048 communicators."""
+    kept = [held() for _ in range(200)]
+    for problem, *_ in kept:
+        problem.solve()
+    first, last = kept[0][2].u.x.array, kept[-1][2].u.x.array
+    np.testing.assert_allclose(first, last, atol=1e-14)
+    kept[0][0].solve()  # its factors had to make room
+    np.testing.assert_allclose(first, last, atol=1e-12)
