@@ -78,7 +78,7 @@ class Checkpoint:
             _set_number(scheme, name, self.values[name])
 
 
-def save(path: Path, body: Body, model: Model, scheme: Scheme, **more: Any) -> None:
+def save(path: Path | str, body: Body, model: Model, scheme: Scheme, **more: Any) -> None:
     """Write a checkpoint. Collective.
 
     Args:
@@ -98,7 +98,7 @@ def save(path: Path, body: Body, model: Model, scheme: Scheme, **more: Any) -> N
         values: dict[str, Any] = {**functions, **_numbers(scheme)}
         told = json.dumps({"format": FORMAT, "more": more})
         try:
-            _write(path, {"about": np.array(told), **values})
+            _write(Path(path), {"about": np.array(told), **values})
         except OSError as e:
             error = e
     error = comm.bcast(error)
@@ -106,7 +106,7 @@ def save(path: Path, body: Body, model: Model, scheme: Scheme, **more: Any) -> N
         raise error
 
 
-def read(path: Path, comm: MPI.Comm) -> Checkpoint:
+def read(path: Path | str, comm: MPI.Comm) -> Checkpoint:
     """Read a checkpoint. Collective.
 
     Raises:
@@ -116,7 +116,7 @@ def read(path: Path, comm: MPI.Comm) -> Checkpoint:
     found: Checkpoint | CheckpointError | None = None
     if comm.rank == 0:
         try:
-            found = _read(path)
+            found = _read(Path(path))
         except CheckpointError as e:
             found = e
     found = comm.bcast(found)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+from mpi4py import MPI
+
 import numpy as np
 import pytest
 
@@ -39,7 +41,7 @@ def test_ten_lines():
 def test_model():
     """A bar under its weight whose end has been turned by 0.1 rad, in 0.1 s."""
     names: dict[str, object] = {}
-    (example,) = (e for e in EXAMPLES if "Model(" in e)
+    (example,) = (e for e in EXAMPLES if "Twist(" in e)
     exec(example, names)
     assert names["scheme"].t == pytest.approx(0.1)
     u, body, right = names["model"].u, names["body"], names["right"]
@@ -53,3 +55,20 @@ def test_model():
     np.testing.assert_allclose(
         u.x.array.reshape(-1, 3)[blocks], arm @ np.transpose(turned), atol=1e-12
     )
+
+
+def test_restart(tmp_path, monkeypatch):
+    """What has been put back is the state after three steps."""
+    monkeypatch.chdir(MPI.COMM_WORLD.bcast(str(tmp_path)))
+    names: dict[str, object] = {}
+    (example,) = (e for e in EXAMPLES if "checkpoint.save" in e)
+    before = "saved = "
+    first, second = example.split(before)
+    exec(first, names)
+    u = names["model"].u.x.array
+    state = u.copy()
+    u[:] = 0.0
+    names["scheme"].t = 0.0
+    exec(before + second, names)
+    np.testing.assert_array_equal(u, state)
+    assert names["scheme"].t == pytest.approx(0.3)

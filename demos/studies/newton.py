@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-E, H = 1e5, 0.3  # [Pa], [s]
-ROUND_OFF = 1e-13  # of the first residual
+E, H = 2e4, 0.3  # [Pa], [s]
+ROUND_OFF = 1e-12  # of the first residual
 
 
 def grid(quick: bool) -> list[Parameters]:
@@ -69,10 +69,10 @@ def compute(comm: MPI.Comm, parameters: Parameters) -> Record:
 def order(residuals: Sequence[float]) -> float:
     """Order of convergence: the slope of log r over that of the iteration before.
 
-    Of the last few residuals that are below a tenth of the first and above round-off, so that a
-    linear rate may alternate.
+    Of the last few residuals that are below the first and above round-off, so that a linear rate
+    may alternate.
     """
-    tail = [r for r in residuals if ROUND_OFF < r < 0.1][-5:]
+    tail = [r for r in residuals if ROUND_OFF < r < 1.0][-5:]
     return power(tail[:-1], tail[1:])
 
 
