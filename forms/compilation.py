@@ -151,7 +151,8 @@ def _is_gone(owner: Path, age: float) -> bool:
 def _start(pid: int) -> str:
     """When a process has begun, by which it is told from a later one of the same number."""
     try:
-        return Path(f"/proc/{pid}/stat").read_text("utf-8").rpartition(")")[2].split()[19]
+        state, *told = Path(f"/proc/{pid}/stat").read_text("utf-8").rpartition(")")[2].split()
+        return "gone" if state in "ZX" else told[18]  # a dead one whose parent has not looked yet
     except (OSError, IndexError):
         return "" if _exists(pid) else "gone"
 

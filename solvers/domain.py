@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from petsc4py import PETSc
 
+import numpy as np
+import numpy.typing as npt
+
+from solvers.layout import is_local
+from solvers.options import ON_THE_WAY
 from solvers.systems import System
 
 
@@ -80,3 +85,24 @@ class Domain:
             y.waxpy(-1.0, end, x)
             self._note(f"steps of {cells} cell{'s' * (cells > 1)} cut: no energy there")
         return cells > 0
+
+
+def relaxed_on_the_way(system: System, before: Sequence[npt.NDArray[np.float64]]) -> bool:
+    """Relax in steps from former values of the fields to the present positions. Collective.
+
+    Returns:
+        Whether that has succeeded, in steps of some length.
+    """
+    shared = [(f, b) for f, b in zip(system.fields, before, strict=True) if not is_local(f)]
+    ends = [f.x.array.copy() for f, _ in shared]
+    for steps in ON_THE_WAY:
+        for f, values in zip(system.fields, before, strict=True):
+            f.x.array[:] = values
+        for k in range(1, steps + 1):
+            for (f, begin), end in zip(shared, ends, strict=True):
+                f.x.array[:] = begin + k / steps * (end - begin)
+            if not system.relax():
+                break
+        else:
+            return True
+    return False

@@ -16,6 +16,8 @@ from typing import Any
 
 from mpi4py import MPI
 
+from solvers.lifetime import weakly
+
 _Handler = Callable[[int, Any], Any]
 
 _depth = 0
@@ -43,8 +45,7 @@ def deferred() -> Iterator[None]:
         _depth -= 1
         if _depth == 0:
             _restore_handlers()
-    if _depth == 0:
-        _run_waiting()
+            _run_waiting()
 
 
 def safe_point(comm: MPI.Comm) -> None:
@@ -102,6 +103,12 @@ class Guard:
         if raised is not None:
             raise raised
 
+    def callback(
+        self, method: Callable[..., Any], instead: Callable[..., Any] = lambda *_: False
+    ) -> Callable[..., Any]:
+        """What PETSc can call: a method whose object it does not keep alive, see `protects`."""
+        return self.protects(weakly(method), instead)
+
     def protects[**P](
         self, callback: Callable[P, Any], instead: Callable[P, Any]
     ) -> Callable[P, Any]:
@@ -126,6 +133,7 @@ class Guard:
 
 
 def _replace_handlers() -> None:
+    _handlers.clear()
     for number in signal.valid_signals():
         handler = signal.getsignal(number)
         if callable(handler):

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from petsc4py import PETSc
@@ -15,9 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from solvers import options as defaults
-from solvers.domain import Domain
+from solvers.domain import Domain, relaxed_on_the_way
 from solvers.interruption import Guard
-from solvers.layout import is_local
 from solvers.lifetime import weakly
 from solvers.linear import LINEAR_REASONS, LinearSolver, names_of
 from solvers.result import History
@@ -66,11 +64,10 @@ class Newton:
         self._begin_pass(np.inf, forced=False)
         snes, A = self.snes, system.A
         # PETSc must not keep this object alive, which keeps PETSc's objects alive.
-        self._callback = partial(_callback, guard)
-        snes.setFunction(self._callback(self._residual, _no_residual), system.b)
-        snes.setJacobian(self._callback(self._jacobian), A, A)
-        snes.setConvergenceTest(self._callback(self._test, _no_more))
-        snes.setMonitor(self._callback(self._record))
+        snes.setFunction(guard.callback(self._residual, _no_residual), system.b)
+        snes.setJacobian(guard.callback(self._jacobian), A, A)
+        snes.setConvergenceTest(guard.callback(self._test, _no_more))
+        snes.setMonitor(guard.callback(self._record))
 
     @property
     def alone(self) -> bool:
@@ -80,16 +77,16 @@ class Newton:
     def steer(self, strategy: Strategy) -> None:
         """Ask a strategy before each iteration and each step."""
         self._exact = strategy.exact
-        self.snes.setUpdate(self._callback(strategy.before_iteration))
+        self.snes.setUpdate(self.guard.callback(strategy.before_iteration))
         self._choose_step = weakly(strategy.before_step)
-        self.snes.setLineSearchPreCheck(self._callback(self._before_step))
+        self.snes.setLineSearchPreCheck(self.guard.callback(self._before_step))
 
     def monitor(self, *, newton: bool, krylov: bool) -> None:
         """Print the residual norm of each field at each Newton iteration, at each Krylov one."""
         if newton:
-            self.snes.setMonitor(self._callback(self._print_newton))
+            self.snes.setMonitor(self.guard.callback(self._print_newton))
         if krylov:
-            self.snes.getKSP().setMonitor(self._callback(self._print_krylov))
+            self.snes.getKSP().setMonitor(self.guard.callback(self._print_krylov))
 
     def begin(self) -> None:
         """Begin a solve from the present values of the fields. Collective."""
@@ -156,24 +153,7 @@ class Newton:
         """Relax, if need be from values before the solve, or on the way. Collective."""
         if self._domain.left:
             self.system.hold(self._before)
-        return self.system.relax() or self._relaxed_on_the_way()
-
-    def _relaxed_on_the_way(self) -> bool:
-        """Relax in steps from where the solve began to the present positions. Collective."""
-        shared = [
-            (f, b) for f, b in zip(self.system.fields, self._before, strict=True) if not is_local(f)
-        ]
-        ends = [f.x.array.copy() for f, _ in shared]
-        for steps in defaults.ON_THE_WAY:
-            self.restore()
-            for k in range(1, steps + 1):
-                for (f, begin), end in zip(shared, ends, strict=True):
-                    f.x.array[:] = begin + k / steps * (end - begin)
-                if not self.system.relax():
-                    break
-            else:
-                return True
-        return False
+        return self.system.relax() or relaxed_on_the_way(self.system, self._before)
 
     def restore(self) -> None:
         """Put the values from before the solve into the fields."""
@@ -291,7 +271,7 @@ class Newton:
         self._evaluate_jacobian(system.x)
         system.rescale(equilibrate(system.block_entries()) if scales is None else scales)
         P = self.linear.set_up(system.A)
-        self.snes.setJacobian(self._callback(self._jacobian), system.A, P)
+        self.snes.setJacobian(self.guard.callback(self._jacobian), system.A, P)
         self._scaled = True
 
     # PETSc's callbacks
@@ -417,13 +397,6 @@ class Newton:
         if self.system.unknowns.layout.comm.rank == 0:
             parts = (f"|r_{name}| {norm:.6e}" for name, norm in norms.items())
             print(f"{method} {iteration:3d}", *parts, sep="  ", flush=True)
-
-
-def _callback(
-    guard: Guard, method: Callable[..., Any], instead: Callable[..., Any] = lambda *_: False
-) -> Callable[..., Any]:
-    """What PETSc can call: it keeps no object alive, and raises nothing."""
-    return guard.protects(weakly(method), instead)
 
 
 def _no_residual(snes: PETSc.SNES, x: PETSc.Vec, b: PETSc.Vec) -> None:

@@ -15,7 +15,7 @@ from mpi4py import MPI
 
 from demos.app import keys
 from demos.app.start import Start
-from demos.app.tables import SceneError, Table, suggestion
+from demos.app.tables import SceneError, Table, flat, suggestion
 from forms import (
     FORMULATIONS,
     LOADS,
@@ -305,19 +305,8 @@ def build(data: dict[str, Any], path: Path, overrides: Overrides, source: str) -
         solver=solver,
         globalisation=globalisation,
         baseline=baseline,
-        keys={**_flat(data), **overrides.keys()},
+        keys={**flat(data), **overrides.keys()},
     )
-
-
-def _flat(value: Any, place: str = "") -> dict[str, Any]:
-    """Nested tables as one, with dotted keys."""
-    if isinstance(value, dict):
-        inner = [(f"{place}.{key}" if place else key, v) for key, v in value.items()]
-    elif isinstance(value, list) and value and all(isinstance(v, dict) for v in value):
-        inner = [(f"{place}.{k}", v) for k, v in enumerate(value, start=1)]
-    else:
-        return {place: value}
-    return {key: v for where, one in inner for key, v in _flat(one, where).items()}
 
 
 def _control(time: Table, *, always: bool) -> StepControl | None:

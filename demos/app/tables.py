@@ -174,6 +174,17 @@ def is_number(value: object) -> bool:
         return False
 
 
+def flat(value: Any, place: str = "") -> dict[str, Any]:
+    """Nested tables as one, with dotted keys."""
+    if isinstance(value, dict):
+        inner = [(f"{place}.{key}" if place else key, v) for key, v in value.items()]
+    elif isinstance(value, list) and value and all(isinstance(v, dict) for v in value):
+        inner = [(f"{place}.{k}", v) for k, v in enumerate(value, start=1)]
+    else:
+        return {place: value}
+    return {key: v for where, one in inner for key, v in flat(one, where).items()}
+
+
 def _spell(value: object) -> str:
     return json.dumps(value, ensure_ascii=False) if isinstance(value, str) else str(value)
 

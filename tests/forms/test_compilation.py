@@ -53,6 +53,16 @@ def test_a_lock_whose_owner_is_gone_is_removed(lock, caplog):
     assert "a lock of a compilation that was stopped" in caplog.text
 
 
+def test_a_dead_process_that_nobody_has_waited_for_is_gone(lock):
+    process = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
+    owned(lock, pid=process.pid, start=compilation._start(process.pid))
+    assert not compilation.remove_if_stale(lock)
+    process.kill()
+    os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)
+    assert compilation.remove_if_stale(lock)
+    process.communicate()
+
+
 def test_a_lock_of_this_process_and_thread_is_one_that_it_was_stopped_at(lock):
     owned(lock)
     assert compilation.remove_if_stale(lock)

@@ -155,6 +155,10 @@ def test_deferred_signals_come_at_the_end_or_at_a_safe_point(handler):
             signal.raise_signal(signal.SIGUSR1)
         passed.append("after the inner one")
     assert passed[1:] == ["after the inner one"]
+    with pytest.raises(Stop) as caught, deferred():
+        signal.raise_signal(signal.SIGUSR1)
+        raise ZeroDivisionError
+    assert isinstance(caught.value.__context__, ZeroDivisionError)
     assert signal.getsignal(signal.SIGUSR1) is handler
 
 
