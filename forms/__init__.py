@@ -17,7 +17,7 @@ from forms.cell_data import (
 )
 from forms.compilation import CompilationError, watch_ffcx
 from forms.damping import Rayleigh
-from forms.fields import displacement_field, mixed_fields, point_field
+from forms.fields import cell_not_finite, displacement_field, mixed_fields, point_field
 from forms.formulations import (
     FORMULATIONS,
     Formulation,
@@ -153,6 +153,7 @@ __all__ = [
     "biot_stress",
     "by_tag",
     "cauchy_stress",
+    "cell_not_finite",
     "cell_values",
     "deformation_gradient",
     "displacement",

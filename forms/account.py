@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from typing import NamedTuple
+
+from mpi4py import MPI
 
 import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
-from forms.cell_data import refresh
-from forms.model import Model
+from forms.model import Energies, Integral, Model
 from forms.time import Scheme
 
 Array = npt.NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Balance:
+class Balance(NamedTuple):
     """Sums since the start [J]; kinetic + elastic + dissipated - loads - motions is constant.
 
     With the midpoint rule to second order in h, and exactly where the energy is quadratic; else to
@@ -34,6 +34,11 @@ class Balance:
     loads: float = 0.0
     motions: float = 0.0
     dissipated: float = 0.0
+
+    def missing(self, start: Energies, now: Energies) -> float:
+        """Return what of the works [J] the body has not won since the start, nor damping taken."""
+        gained = now.kinetic + now.elastic - start.kinetic - start.elastic
+        return self.loads + self.motions - self.dissipated - gained
 
 
 class Account:
@@ -62,7 +67,7 @@ class Account:
             forces: Gives the derivative of the model's energy less work by the displacement [N], on
                 local degrees of freedom: `solvers.MixedProblem.unbalanced_forces`.
         """
-        self._model, self._scheme, self._forces = model, scheme, forces
+        self._model, self._forces = model, forces
         u, V = model.u, model.u.function_space
         self.balance = Balance()
         self.reactions = np.zeros((len(model.held), V.dofmap.bs))
@@ -72,13 +77,13 @@ class Account:
         work = model.virtual_work(scheme)
         if work is not None:
             loads.append(ufl.action(work, self._change))
-        self._loads = _Integral(loads)
+        self._loads = _total(loads, V.mesh.comm)
         of_mass, of_stiffness = model.damping_potentials(scheme)
         dissipated = [] if of_mass is None else [ufl.derivative(of_mass, u, self._change)]
         if of_stiffness is not None:
             # Quadratic in the change of the stretch, so twice is its derivative along that.
             dissipated.append(2 * of_stiffness)
-        self._dissipated = _Integral(dissipated)
+        self._dissipated = _total(dissipated, V.mesh.comm)
         holder = np.full((len(u.x.array) // V.dofmap.bs, V.dofmap.bs), -1)
         for k, held in enumerate(model.held):
             holder[np.ix_(held.blocks, held.components)] = k
@@ -97,26 +102,16 @@ class Account:
         local = np.zeros_like(self.reactions)
         for k in range(len(local)):
             local[k] = np.where(self._holder == k, forces, 0.0).sum(axis=0)
-        motions = np.sum(forces * change, where=self._holder >= 0)
-        integrals = (self._loads.now() / scheme.theta, self._dissipated.now() / scheme.theta)
-        total = comm.allreduce(np.array([*local.ravel(), integrals[0], motions, integrals[1]]))
-        self.reactions = total[:-3].reshape(local.shape)
+        motions = float(np.sum(forces * change, where=self._holder >= 0))
+        self.reactions = np.asarray(comm.allreduce(local))
         before = self.balance
         self.balance = Balance(
-            before.loads + total[-3], before.motions + total[-2], before.dissipated + total[-1]
+            before.loads + self._loads.now() / scheme.theta,
+            before.motions + comm.allreduce(motions),
+            before.dissipated + self._dissipated.now() / scheme.theta,
         )
         self._model.accept(scheme)
 
 
-class _Integral:
-    """A sum of integrals over the cells of this rank, compiled once."""
-
-    def __init__(self, terms: list[ufl.Form]) -> None:
-        self._terms = terms
-        self._compiled = fem.form(sum(terms[1:], terms[0])) if terms else None
-
-    def now(self) -> float:
-        if self._compiled is None:
-            return 0.0
-        refresh(self._terms)
-        return float(np.real(fem.assemble_scalar(self._compiled)))
+def _total(terms: list[ufl.Form], comm: MPI.Comm) -> Integral:
+    return Integral(comm, sum(terms[1:], terms[0]) if terms else None)

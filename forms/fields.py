@@ -132,3 +132,23 @@ def components(values: npt.NDArray[np.float64], block_size: int) -> npt.NDArray[
     if np.prod(values.shape[1:]) > block_size:
         values = values[:, *np.tril_indices(values.shape[-1])]
     return values.reshape(-1, block_size)
+
+
+def cell_not_finite(V: fem.FunctionSpace, values: npt.NDArray[np.float64]) -> int | None:
+    """Return the first cell, by its number in the mesh file, on which values are not finite.
+
+    Collective.
+
+    Args:
+        V: Their space.
+        values: Of this rank's degrees of freedom, with or without those of ghosts.
+
+    Returns:
+        None where all are finite, on any rank.
+    """
+    bs, index_map = V.dofmap.index_map_bs, V.dofmap.index_map
+    bad = np.zeros(index_map.size_local + index_map.num_ghosts, dtype=bool)
+    bad[: len(values) // bs] = ~np.isfinite(values.reshape(-1, bs)).all(axis=1)
+    numbers = V.mesh.topology.original_cell_index[bad[V.dofmap.list].any(axis=1)]
+    found = [int(n.min()) for n in V.mesh.comm.allgather(numbers) if len(n)]
+    return min(found, default=None)

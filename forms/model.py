@@ -9,7 +9,6 @@ from typing import NamedTuple
 from mpi4py import MPI
 
 import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from ufl.core.expr import Expr
@@ -18,7 +17,7 @@ from forms.body import BodyLike
 from forms.cell_data import refresh
 from forms.constants import as_constant
 from forms.damping import Rayleigh
-from forms.fields import point_field
+from forms.fields import cell_not_finite, point_field
 from forms.formulations import FORMULATIONS, Fields, Formulation
 from forms.history import History
 from forms.inversion import InvertedCells
@@ -172,22 +171,16 @@ class Model:
         """
         values = [history.after_step(self, scheme) for history in self.histories]
         for history, new in zip(self.histories, values, strict=True):
-            self._insist_on_numbers(history.field, new)
+            if (cell := cell_not_finite(history.field.function_space, new)) is not None:
+                name = history.field.name
+                raise FloatingPointError(
+                    f"the history variable {name} is not finite in cell {cell} (from 0)"
+                )
         for history, new in zip(self.histories, values, strict=True):
             history.field.x.array[:] = new
         scheme.advance()
         if self._inverted is not None:
             self._warn_of_inversion(self._inverted.count())
-
-    def _insist_on_numbers(self, f: fem.Function, values: npt.NDArray[np.float64]) -> None:
-        V = f.function_space
-        bad = ~np.isfinite(values.reshape(-1, V.dofmap.index_map_bs)).all(axis=1)
-        numbers = V.mesh.topology.original_cell_index[bad[V.dofmap.list].any(axis=1)]
-        found = [int(n.min()) for n in V.mesh.comm.allgather(numbers) if len(n)]
-        if found:
-            raise FloatingPointError(
-                f"the history variable {f.name} is not finite in cell {min(found)} (from 0)"
-            )
 
     def _warn_of_inversion(self, count: int) -> None:
         if count > self._known_inverted and self.body.mesh.comm.rank == 0:
@@ -271,12 +264,24 @@ class EnergyIntegrals:
 
     def __init__(self, comm: MPI.Comm, integrals: Sequence[ufl.Form | None]) -> None:
         """Compile the kinetic, elastic and potential energy. Collective."""
-        self._comm = comm
-        self._integrals = integrals
-        self._compiled = [None if form is None else fem.form(form) for form in integrals]
+        self._integrals = [Integral(comm, form) for form in integrals]
 
     def now(self) -> Energies:
         """Return the present values. Collective."""
-        refresh(form for form in self._integrals if form is not None)
-        local = [0.0 if form is None else fem.assemble_scalar(form) for form in self._compiled]
-        return Energies(*(float(self._comm.allreduce(value)) for value in local))
+        return Energies(*(integral.now() for integral in self._integrals))
+
+
+class Integral:
+    """An integral over the whole body, compiled once; 0 where there is no form."""
+
+    def __init__(self, comm: MPI.Comm, form: ufl.Form | None) -> None:
+        """Compile it. Collective."""
+        self._comm, self._form = comm, form
+        self._compiled = None if form is None else fem.form(form)
+
+    def now(self) -> float:
+        """Return the present value. Collective."""
+        if self._form is None or self._compiled is None:
+            return 0.0
+        refresh([self._form])
+        return float(self._comm.allreduce(np.real(fem.assemble_scalar(self._compiled))))

@@ -13,7 +13,6 @@ process that is killed leaves the former one.
 from __future__ import annotations
 
 import json
-import os
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -30,6 +29,7 @@ from dolfinx import fem
 from forms import Model, Scheme
 from meshes import Body
 from meshes.cellwise import gather_all, put_all
+from solvers.files import write_whole
 
 FORMAT = 1
 
@@ -96,9 +96,9 @@ def save(path: Path | str, body: Body, model: Model, scheme: Scheme, **more: Any
     error: OSError | None = None
     if comm.rank == 0:
         values: dict[str, Any] = {**functions, **_numbers(scheme)}
-        told = json.dumps({"format": FORMAT, "more": more})
+        values["about"] = np.array(json.dumps({"format": FORMAT, "more": more}))
         try:
-            _write(Path(path), {"about": np.array(told), **values})
+            write_whole(Path(path), lambda place: _write(place, values))
         except OSError as e:
             error = e
     error = comm.bcast(error)
@@ -127,16 +127,8 @@ def read(path: Path | str, comm: MPI.Comm) -> Checkpoint:
 
 
 def _write(path: Path, values: Mapping[str, Array]) -> None:
-    partial = path.with_name(f"{path.name}.part")
-    try:
-        with partial.open("wb") as file:
-            np.savez(file, allow_pickle=False, **values)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(partial, path)
-    except BaseException:
-        partial.unlink(missing_ok=True)
-        raise
+    with path.open("wb") as file:  # under its very name
+        np.savez(file, allow_pickle=False, **values)
 
 
 def _read(path: Path) -> Checkpoint:

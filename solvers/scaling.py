@@ -12,6 +12,7 @@ import numpy.typing as npt
 from dolfinx import fem
 from dolfinx.fem.petsc import assign
 
+from forms import cell_not_finite
 from solvers.layout import BlockLayout
 
 Floats = npt.NDArray[np.float64]
@@ -77,17 +78,9 @@ class Unknowns:
             Such as "S in cell 12 (from 0)", by the number in the mesh file; empty if it is one.
         """
         parts = self.layout.split(b.array_r)
-        mesh = self._fields[0].function_space.mesh
         for f, part in reversed(list(zip(self._fields, parts, strict=True))):
-            bs = f.function_space.dofmap.index_map_bs
-            bad = np.zeros(len(f.x.array) // bs, dtype=bool)
-            bad[: len(part) // bs] = ~np.isfinite(part.reshape(-1, bs)).all(axis=1)
-            cells = bad[f.function_space.dofmap.list].any(axis=1)
-            numbers = mesh.topology.original_cell_index[cells]
-            first = numbers.min(initial=np.iinfo(numbers.dtype).max)
-            first = self.layout.comm.allreduce(int(first), MPI.MIN)
-            if first < np.iinfo(numbers.dtype).max:
-                return f"{f.name} in cell {first} (from 0)"
+            if (cell := cell_not_finite(f.function_space, part)) is not None:
+                return f"{f.name} in cell {cell} (from 0)"
         return ""
 
     def round_off(self, x: PETSc.Vec) -> float:

@@ -184,7 +184,6 @@ def _sweep(given: argparse.Namespace) -> int:
         )
     except measures.MeasureError as error:
         raise UsageError(str(error)) from error
-    given.quick = False
     return _run_studies([study], given)
 
 
@@ -367,7 +366,7 @@ def _parser() -> argparse.ArgumentParser:
         type=Path,
         help="folder for the files (default: results/sweep-SCENE)",
     )
-    sweeper.set_defaults(command=_sweep)
+    sweeper.set_defaults(command=_sweep, quick=False)
     return parser
 
 

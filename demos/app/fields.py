@@ -11,7 +11,8 @@ import meshio
 import numpy as np
 import numpy.typing as npt
 
-from demos.app.files import on_rank_0, write_whole
+from demos.app.files import on_rank_0
+from solvers.files import write_whole
 
 Array = npt.NDArray[np.float64]
 

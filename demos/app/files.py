@@ -8,9 +8,10 @@ import json
 import os
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any
 
 from mpi4py import MPI
+
+from solvers.files import write_whole
 
 PROGRAM = "mixed-fem"
 ABOUT = "run.json"
@@ -33,10 +34,15 @@ def on_rank_0(comm: MPI.Comm, place: Path, action: Callable[[], None]) -> None:
         except OutputError as e:
             error = str(e)
         except OSError as e:
-            error = f"{e.filename or place}: cannot be written ({e.strerror or e})"
+            error = cannot_write(place, e)
     error = comm.bcast(error)
     if error is not None:
         raise OutputError(error)
+
+
+def cannot_write(place: Path, error: OSError) -> str:
+    """What to say of a file that could not be written."""
+    return f"{error.filename or place}: cannot be written ({error.strerror or error})"
 
 
 def make_folder(comm: MPI.Comm, folder: Path) -> None:
@@ -86,19 +92,6 @@ def claim(folder: Path, names: Iterable[str], header: Sequence[str]) -> None:
                 f"--out {folder}: {name} there is not of a run of {PROGRAM}, and would be "
                 "overwritten; choose another folder"
             )
-
-
-def write_whole(path: Path, write: Callable[[Path], Any]) -> None:
-    """Have a file written beside its place, then put it there: whole or not at all."""
-    partial = path.with_name(f"{path.stem}.part{path.suffix}")
-    try:
-        write(partial)
-        with partial.open("rb") as file:
-            os.fsync(file.fileno())
-        os.replace(partial, path)
-    except BaseException:
-        partial.unlink(missing_ok=True)
-        raise
 
 
 class Csv:

@@ -14,6 +14,7 @@ from dolfinx import geometry
 from scipy.spatial import cKDTree
 
 from demos.app.simulation import Simulation
+from forms import Energies
 from solvers import SolveResult
 
 Array = npt.NDArray[np.float64]
@@ -48,12 +49,12 @@ class Finished:
     Attributes:
         simulation: Its last state.
         results: Of each step.
-        gained: Kinetic and elastic energy that the body has won [J].
+        start: Energies at the beginning.
     """
 
     simulation: Simulation
     results: Sequence[SolveResult]
-    gained: float
+    start: Energies
 
 
 Measure = Callable[[Finished], float]
@@ -169,8 +170,7 @@ def _reaction(number: str, axis: str) -> Measure:
 def _energy(name: str) -> Measure:
     def measured(run: Finished) -> float:
         energies, done = run.simulation.energies(), run.simulation.account.balance
-        missing = done.loads + done.motions - done.dissipated - run.gained
-        more = {"dissipated": done.dissipated, "missing": missing}
+        more = {"dissipated": done.dissipated, "missing": done.missing(run.start, energies)}
         return float((energies._asdict() | more)[name])
 
     return measured

@@ -11,12 +11,19 @@ import numpy as np
 import numpy.typing as npt
 
 from demos.app.fields import Series
-from demos.app.files import ABOUT, Csv, claim, make_folder, on_rank_0, write_whole
+from demos.app.files import (
+    ABOUT,
+    Csv,
+    OutputError,
+    cannot_write,
+    claim,
+    make_folder,
+    on_rank_0,
+)
 from demos.app.simulation import Simulation
 from forms import Balance, Energies
-from forms.points import is_simplicial
-from meshes import VTK_ORDER, Body
 from solvers import Checkpoint, SolveResult, checkpoint
+from solvers.files import write_whole
 
 _STEP = ("step", "time", "newton_iterations", "krylov_iterations")
 _ENERGIES = ("kinetic_energy", "elastic_energy", "potential_energy")
@@ -107,15 +114,13 @@ class Output:
         self.steps += 1
         seconds, account = result.timings, self.simulation.account
         energies, done = self.simulation.energies(), account.balance
-        gained = energies.kinetic + energies.elastic - self._start.kinetic - self._start.elastic
-        missing = done.loads + done.motions - done.dissipated - gained
         self._history.row(
             [
                 *(self.steps, self.simulation.scheme.t),
                 *(result.iterations, result.krylov_iterations),
                 *(result.norms[-1][name] for name in self._names),
                 *(energies.kinetic, energies.elastic, energies.potential),
-                *(done.loads, done.motions, done.dissipated, missing),
+                *(*done, done.missing(self._start, energies)),
                 *account.reactions.ravel(),
                 seconds["residual"] + seconds["jacobian"],
                 seconds.get("condensation", 0.0),
@@ -141,10 +146,10 @@ class Output:
             return
         simulation, account = self.simulation, self.simulation.account
         pace = simulation.pace
-        error: OSError | None = None
+        file = self.folder / CHECKPOINT
         try:
             checkpoint.save(
-                self.folder / CHECKPOINT,
+                file,
                 simulation.body,
                 simulation.model,
                 simulation.scheme,
@@ -152,23 +157,13 @@ class Output:
                 step=self.steps,
                 times=self._fields.times,
                 start=list(self._start),
-                balance=[
-                    account.balance.loads,
-                    account.balance.motions,
-                    account.balance.dissipated,
-                ],
+                balance=list(account.balance),
                 reactions=account.reactions.tolist(),
                 pace=[pace.begin, pace.h],
                 carried=simulation.problem.carried(),
             )
         except OSError as e:
-            error = e
-
-        def tell() -> None:
-            if error is not None:
-                raise error
-
-        on_rank_0(self._comm, self.folder / CHECKPOINT, tell)
+            raise OutputError(cannot_write(file, e)) from e
         self._kept = self.steps
 
     def final(self) -> dict[str, Array] | None:
@@ -200,7 +195,7 @@ def final_state(simulation: Simulation) -> dict[str, Array] | None:
         None on other ranks.
     """
     body, scheme = simulation.body, simulation.scheme
-    X = body.gather_points()
+    X, *lists = simulation.at_rest
     u, v = body.gather(simulation.fields[0]), body.gather(scheme.v)
     of_cells = {
         name: body.gather(values)
@@ -209,22 +204,12 @@ def final_state(simulation: Simulation) -> dict[str, Array] | None:
             ("Lam", simulation.stress()),
             ("R", _rotations(simulation.gradient())),
             ("von_mises", simulation.von_mises()),
-            ("tags", body.cell_tags.values[: len(body.file_cells)]),
-            ("cells", _vtk_cells(body)),
         )
-    }
+    } | dict(zip(("tags", "cells"), lists, strict=True))
     if X is None or u is None or v is None:
         return None
     cells = {name: values for name, values in of_cells.items() if values is not None}
     return {"X": X, "x": X + u, "v": v, **cells, "t": np.array(scheme.t)}
-
-
-def _vtk_cells(body: Body) -> Array:
-    """Vertices of the owned cells in the order of VTK, or sorted where any order will do."""
-    cells = body.file_connectivity()
-    if is_simplicial(body.mesh):
-        return np.sort(cells)
-    return cells[:, VTK_ORDER[body.mesh.topology.cell_type]]
 
 
 def _rotations(F: Array) -> Array:

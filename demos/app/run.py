@@ -94,13 +94,14 @@ def run(
     body = build_body(scene, comm)
     make_folder(comm, out)
     screen.line(f"{scene.name}: {_size(body)}, {_parameters(scene)}, h = {scene.h:g} s")
-    main = _march(scene, body, scene.formulation, out, screen, restart)
+    told = about(scene, comm)
+    main = _march(scene, body, scene.formulation, out, screen, restart, told)
     if main.state is not None and main.state["t"] > 0:
         _draw(scene, body, main.state, out, screen)
     runs = [main]
     if scene.baseline is not None and scene.baseline != scene.formulation:
         beside = dataclasses.replace(restart, file=None)
-        baseline = _march(scene, body, scene.baseline, out / scene.baseline, screen, beside)
+        baseline = _march(scene, body, scene.baseline, out / scene.baseline, screen, beside, told)
         runs.append(baseline)
         for line in comparison(scene, main, baseline):
             screen.line(line)
@@ -109,10 +110,15 @@ def run(
 
 
 def _march(
-    scene: Scene, body: Body, formulation: str, out: Path, screen: Screen, restart: Restart
+    scene: Scene,
+    body: Body,
+    formulation: str,
+    out: Path,
+    screen: Screen,
+    restart: Restart,
+    told: Mapping[str, Any],
 ) -> Run:
     comm = body.mesh.comm
-    told = about(scene, comm)
     saved = _saved(comm, out, formulation, told["scene"], screen, restart)
     screen.line(f"{formulation}: preparing forms (the first time compiles them, about 15 s in 3D)")
     start = time.perf_counter()

@@ -6,6 +6,7 @@ import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 from mpi4py import MPI
@@ -33,7 +34,9 @@ from forms import (
 )
 from forms.expressions import PointValues
 from forms.materials import StrainEnergy
+from forms.points import is_simplicial
 from meshes import (
+    VTK_ORDER,
     Body,
     MeshError,
     box,
@@ -197,6 +200,16 @@ class Simulation:
         """Right stretch S on the owned cells, shape (owned cells, d, d)."""
         return self._stretch.values()
 
+    @cached_property
+    def at_rest(self) -> tuple[npt.NDArray[Any] | None, ...]:
+        """Positions at rest [m], tags and vertices of cells, on rank 0 in file order. Collective.
+
+        Gathered once, as no step changes them.
+        """
+        body = self.body
+        tags = body.cell_tags.values[: len(body.file_cells)]
+        return body.gather_points(), body.gather(tags), body.gather(_vtk_cells(body))
+
     def gradient(self) -> npt.NDArray[np.float64]:
         """Deformation gradient F on the owned cells, shape (owned cells, d, d)."""
         return self._gradient.values()
@@ -226,6 +239,14 @@ class CellMeans:
         """Present means, shape (owned cells, *shape of the expression)."""
         weights = self._points.weights / self._points.weights.sum()
         return np.einsum("q,kq...->k...", weights, self._points.now())
+
+
+def _vtk_cells(body: Body) -> npt.NDArray[Any]:
+    """Vertices of the owned cells in the order of VTK, or sorted where any order will do."""
+    cells = body.file_connectivity()
+    if is_simplicial(body.mesh):
+        return np.sort(cells)
+    return cells[:, VTK_ORDER[body.mesh.topology.cell_type]]
 
 
 def _material(

@@ -188,17 +188,14 @@ def compute(
     ready = build(_changed(as_tables(text, scene), parameters, scene), path, Overrides(), scene)
     body = build_body(ready, comm)
     simulation = Simulation(ready, body, ready.formulation)
-    start = simulation.energies()
     results: list[SolveResult] = []
-    _measured(Finished(simulation, results, 0.0), measures, scene)  # before what takes long
+    run = Finished(simulation, results, simulation.energies())
+    _measured(run, measures, scene)  # before what takes long
     failure = ""
     try:
         results += simulation.march(ready.steps)
     except ConvergenceError as error:
         failure = f"t = {simulation.scheme.t:g} s: {error.result.reason}"
-    now = simulation.energies()
-    gained = now.kinetic + now.elastic - start.kinetic - start.elastic
-    run = Finished(simulation, results, gained)
     dofmap = simulation.model.u.function_space.dofmap
     found: Record = {"cells": body.num_cells}
     found["dofs"] = int(dofmap.index_map.size_global * dofmap.index_map_bs)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import hashlib
 import json
-import os
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,6 +17,7 @@ from demos.app.progress import Screen
 from demos.studies.records import Record, of_case, plain
 from demos.studies.sources import sources
 from demos.studies.study import Parameters, Study
+from solvers.files import write_whole
 
 
 @dataclass(frozen=True)
@@ -125,10 +125,8 @@ class _Cache:
 
     def put(self, parameters: Parameters, found: list[Record]) -> None:
         if self._comm.rank == 0:
-            file = self._file(parameters)
-            partial = file.with_suffix(".part")
-            partial.write_text(json.dumps(found), "utf-8")
-            os.replace(partial, file)  # whole or not at all
+            text = json.dumps(found)
+            write_whole(self._file(parameters), lambda place: place.write_text(text, "utf-8"))
 
 
 def _write(study: Study, records: Sequence[Record], out: Path, screen: Screen, ranks: int) -> None:

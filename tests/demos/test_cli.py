@@ -15,6 +15,7 @@ from demos.app.cli import main
 from demos.app.scene import built_in
 from forms import FORMULATIONS, MATERIALS, displacement_field
 from solvers import PRECONDITIONERS, SOLVERS, MixedProblem
+from tests.demos.scenes import bar as bar_text
 from tests.states import small_mesh
 
 COMM = MPI.COMM_WORLD
@@ -100,23 +101,7 @@ def test_options_with_one_dash_are_petscs(arguments, others, options):
     assert petsc_options.split(arguments) == (others, options)
 
 
-BAR = """
-[mesh]
-box = { size = [2.0, 1.0], cells = [4, 2] }
-[[material]]
-name = "corotational"
-E = 1e5
-nu = 0.3
-rho = 1000.0
-[[boundary]]
-where = { x = "min" }
-motion = "fixed"
-[load]
-gravity = [0.0, -9.81]
-[time]
-h = 0.1
-steps = 1
-"""
+BAR = bar_text("h = 0.1\nsteps = 1\n", material="corotational")
 
 
 def next_prefix():

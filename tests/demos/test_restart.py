@@ -22,29 +22,15 @@ import pytest
 from demos.app import files, picture
 from demos.app.cli import main
 from demos.app.output import CHECKPOINT, Output
+from tests.demos.scenes import bar as bar_text
 
 COMM = MPI.COMM_WORLD
 
-BAR = """\
-[mesh]
-box = { size = [2.0, 1.0], cells = [8, 4] }
-[[material]]
-name = "stable-neo-hookean"
-E = 1e5
-nu = 0.4
-rho = 1000.0
-[[boundary]]
-where = { x = "min" }
-motion = "fixed"
-[load]
-gravity = [0.0, -9.81]
-[time]
-scheme = "bdf2"
-h = 0.01
-steps = 12
-[damping]
-stiffness = 0.01
-"""
+BAR = bar_text(
+    'scheme = "bdf2"\nh = 0.01\nsteps = 12\n[damping]\nstiffness = 0.01\n',
+    cells="[8, 4]",
+    nu=0.4,
+)
 
 
 @pytest.fixture

@@ -17,27 +17,11 @@ from demos.app.scene import parse
 from demos.app.simulation import Simulation, build_body
 from demos.app.sweep import axis
 from demos.studies.richardson import DOUBTFUL, SAFETY, convergence
+from tests.demos.scenes import bar as bar_text
 
 COMM = MPI.COMM_WORLD
 
-BAR = """\
-[mesh]
-box = { size = [2.0, 1.0], cells = [4, 2] }
-[[material]]
-name = "stable-neo-hookean"
-E = 1e5
-nu = 0.3
-rho = 1000.0
-[[boundary]]
-where = { x = "min" }
-motion = "fixed"
-[load]
-gravity = [0.0, -2.0]
-[time]
-scheme = "static"
-h = 0.5
-steps = 2
-"""
+BAR = bar_text('scheme = "static"\nh = 0.5\nsteps = 2\n', g=-2.0)
 
 
 @pytest.fixture
