@@ -1,5 +1,4 @@
-"""Runs, scenes, pictures and the command line `mixed-fem`."""
+"""Narratives to read and run, and the application `mixed-fem`.
 
-from __future__ import annotations
-
-from mpi4py import MPI  # noqa: F401  (with the PyPI wheel MPI must be imported before DOLFINx)
+Nothing is imported here, so that `entry` comes before all that is long.
+"""

@@ -4,6 +4,6 @@ from __future__ import annotations
 
 import sys
 
-from demos.app.entry import main
+from demos.entry import main
 
 sys.exit(main())

@@ -18,7 +18,7 @@ cd "$root"
 venv=.venv
 stamp=$venv/set-up.stamp
 origin=$venv/set-up.origin # checkout, route and interpreter that the environment was made from
-extras=plot,geometry,test,lint
+extras=plot,view,geometry,test,lint
 
 case ${PYTHON:-} in "$venv"/* | "$root/$venv"/*) unset PYTHON ;; esac # is what shall be made
 

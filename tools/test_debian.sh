@@ -13,6 +13,8 @@ chroot=$(realpath -m "${MIXED_FEM_CHROOT:-build/debian-unstable}")
 copy=/root/mixed-fem
 packages=python3-dolfinx-real,python3-venv,python3-dev,gcc,libc6-dev,make,openmpi-bin,ca-certificates
 packages+=,libegl1,libgl1,libxrender1 # pictures
+packages+=,libglu1-mesa,libxcursor1,libxft2,libxinerama1 # gmsh
+packages+=,libopenblas0-pthread # else the reference BLAS, several times slower
 
 die() {
   printf 'test-debian: %s\n' "$*" >&2

@@ -25,6 +25,7 @@ import ufl
 
 from demos.app.files import PROGRAM
 from demos.app.scene import Scene
+from forms import HalfSpace
 
 MODULES = (dolfinx, ufl, ffcx, petsc4py, mpi4py, np)
 
@@ -38,9 +39,16 @@ def about(scene: Scene, comm: MPI.Comm) -> dict[str, Any]:
     if comm.rank == 0:
         found = {
             "program": PROGRAM,
+            "name": scene.name,
             "scene": identity(scene),
             "file": scene.source,
             "text": scene.text,
+            "gravity": list(scene.gravity),
+            "planes": [
+                [list(given.load.plane), float(given.load.offset)]
+                for given in scene.loads
+                if isinstance(given.load, HalfSpace) and isinstance(given.load.offset, int | float)
+            ],
             "command": sys.argv[1:],
             "started": datetime.now(UTC).isoformat(timespec="seconds"),
             "versions": {

@@ -17,26 +17,30 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, NoReturn
 
-from mpi4py import MPI
-
 from demos import studies
-from demos.app import keys, measures, mesh_report, petsc_options
+from demos.app import keys, measures, mesh_report, petsc_options, viewer
 from demos.app import sweep as sweeping
-from demos.app.files import OutputError
+from demos.app.arguments import COMM, UsageError, parser
+from demos.app.files import OutputError, cannot_write
 from demos.app.progress import Screen
 from demos.app.run import Restart, run
 from demos.app.scene import Overrides, built_in, load
 from demos.app.tables import SceneError
 from demos.by_hand import ERRATA, compare
+from demos.viewing import ResultsError, plot
+from demos.viewing import load as load_results
 from forms import FORMULATIONS, LOADS, MATERIALS, MOTIONS, SCHEMES, CompilationError
 from meshes import GEOMETRIES
 from solvers import PRECONDITIONERS, SOLVERS, STRATEGIES, CheckpointError
 
-COMM = MPI.COMM_WORLD
-
-
-class UsageError(ValueError):
-    """The command line cannot be understood; the message is one line."""
+_BAD_INPUT = (
+    UsageError,
+    SceneError,
+    OutputError,
+    CheckpointError,
+    studies.StudyError,
+    ResultsError,
+)
 
 
 class Terminated(KeyboardInterrupt):
@@ -74,8 +78,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         signal.signal(signal.SIGTERM, _terminate)
     try:
         arguments, options = petsc_options.split(sys.argv[1:] if argv is None else argv)
-        given = _parser().parse_args(arguments, argparse.Namespace(petsc=options))
-        command: Callable[[argparse.Namespace], int] = given.command
+        given = parser().parse_args(arguments, argparse.Namespace(petsc=options))
+        command = COMMANDS[given.name]
         if misspelt := [name for name in options if name in vars(given)]:
             raise UsageError(f"-{misspelt[0]}: with one dash it would go to PETSc; write two")
         with petsc_options.entered(options):
@@ -84,7 +88,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 message = f"mixed-fem: PETSc options that nothing has read: {' '.join(unread)}"
                 print(message, file=sys.stderr)
         return code
-    except (UsageError, SceneError, OutputError, CheckpointError, studies.StudyError) as error:
+    except _BAD_INPUT as error:
         if COMM.rank == 0:
             print("mixed-fem:", *str(error).splitlines(), file=sys.stderr)
         return 2
@@ -140,7 +144,7 @@ def _run(given: argparse.Namespace) -> int:
     overrides = Overrides(given.steps, given.formulation, given.material, given.solver)
     scene = load(COMM, given.scene, overrides)
     out = given.out if given.out is not None else Path("results") / scene.name
-    failures = run(scene, COMM, out, Screen(COMM), restart)
+    failures = run(scene, COMM, out, Screen(COMM, quiet=given.quiet), restart)
     if COMM.rank == 0:
         for failure in failures:
             print(f"mixed-fem: {failure}", file=sys.stderr)
@@ -197,6 +201,47 @@ def _studies(name: str) -> Sequence[studies.Study]:
     raise UsageError(f"study {name}: unknown; available: {available}, or the path of a Python file")
 
 
+def _view(given: argparse.Namespace) -> int:
+    _alone("view")
+    arguments = [str(given.results), "--field", given.field]
+    for name in ("picture", "movie", "step"):
+        if (value := getattr(given, name)) is not None:
+            arguments += [f"--{name}={value}"]
+    if given.picture is not None and given.picture.suffix != ".png":
+        raise UsageError(f"--picture {given.picture}: must end in .png")
+    if given.movie is not None and given.movie.suffix not in (".mp4", ".gif"):
+        raise UsageError(f"--movie {given.movie}: must end in .mp4 or .gif")
+    if given.step is not None and given.picture is None:
+        raise UsageError(f"--step {given.step}: goes with --picture")
+    if given.web:
+        arguments += [f"--port={given.port}"]
+    code, wrong = viewer.view(arguments)
+    if wrong:
+        print(f"mixed-fem: {wrong}", file=sys.stderr)
+    for written in filter(None, (given.picture, given.movie)):
+        if code == 0:
+            Screen(COMM).line(f"view: wrote {written}")
+    return code
+
+
+def _plot(given: argparse.Namespace) -> int:
+    _alone("plot")
+    out = given.out if given.out is not None else given.results / "plot.png"
+    if out.suffix not in (".png", ".pdf", ".svg"):
+        raise UsageError(f"--out {out}: must end in .png, .pdf or .svg")
+    try:
+        plot(load_results(given.results)).savefig(out)
+    except OSError as error:
+        raise OutputError(cannot_write(out, error)) from error
+    Screen(COMM).line(f"plot: wrote {out}")
+    return 0
+
+
+def _alone(command: str) -> None:
+    if COMM.size > 1:
+        raise UsageError(f"{command} works on one rank; run it without mpiexec")
+
+
 def _one_study(study: studies.Study, given: argparse.Namespace) -> list[str]:
     ranks = f"-{COMM.size}-ranks" if COMM.size > 1 else ""
     out = given.out if given.out is not None else Path("results") / f"{study.name}{ranks}"
@@ -215,181 +260,20 @@ def _one_study(study: studies.Study, given: argparse.Namespace) -> list[str]:
     return outcome.shortfalls
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(
-        prog="mixed-fem",
-        description="Mixed variational finite elements for elastic bodies in motion.",
-        epilog="Options with one dash, such as -mixed_fem_0_snes_monitor, go to PETSc. Put them "
-        "last, as what follows one may be its value. Exit codes: 0 done, 1 a solve failed or a "
-        "comparison fell short, 2 bad input, 130 interrupted. Runs under mpiexec too.",
-    )
-    commands = parser.add_subparsers(required=True, metavar="COMMAND", dest="name")
-
-    listing = commands.add_parser(
-        "list",
-        help="show the materials, formulations, geometries, scenes, studies, ... there are",
-    )
-    listing.set_defaults(command=_list)
-
-    runner = commands.add_parser(
-        "run",
-        help="compute a scene and write its results and picture",
-        description="Compute a scene. Written to DIR: final.npz (X, x, v, S, Lam, von_mises, in "
-        "the order of the mesh file), history.csv (a row a step), newton.csv (a row a Newton "
-        "iteration), fields/fields.pvd (for ParaView), checkpoint.npz, run.json (what was run, and "
-        "by what), picture.png. Ctrl-C ends a run after the step under way, with a checkpoint.",
-    )
-    runner.add_argument(
-        "scene", metavar="SCENE", help="name of a built-in scene, or path of a TOML file"
-    )
-    runner.add_argument(
-        "--out", type=Path, metavar="DIR", help="folder for the results (default: results/SCENE)"
-    )
-    runner.add_argument(
-        "--steps", type=_integer, metavar="N", help="number of time steps, instead of the scene's"
-    )
-    runner.add_argument(
-        "--formulation", metavar="F", help=f"one of {', '.join(FORMULATIONS)}; default: the scene's"
-    )
-    runner.add_argument(
-        "--material", metavar="M", help=f"one of {', '.join(MATERIALS)}; default: the scene's"
-    )
-    runner.add_argument(
-        "--solver", metavar="S", help=f"one of {', '.join(SOLVERS)}; default: the scene's"
-    )
-    runner.add_argument(
-        "--resume",
-        nargs="?",
-        const="",
-        metavar="FILE",
-        help="go on from a checkpoint, by default that of DIR, on any number of ranks; give the "
-        "same scene, with more steps if you like",
-    )
-    runner.add_argument(
-        "--checkpoint",
-        type=_integer,
-        default=10,
-        metavar="N",
-        help="write a checkpoint every N steps, and at the end (default: 10; 0: at the end alone)",
-    )
-    runner.set_defaults(command=_run)
-
-    comparison = commands.add_parser(
-        "compare",
-        help="compare UFL with the hand-derived system, equation by equation",
-        description="Compare the Newton system that UFL derives with one derived by hand in NumPy, "
-        "equation by equation. The exit code is 1 if anything differs.",
-    )
-    comparison.add_argument(
-        "--equation",
-        type=_integer,
-        metavar="N",
-        help="one equation: as in the seed, as it should be, what is compared, the numbers",
-    )
-    comparison.add_argument(
-        "--json", action="store_true", help="print one JSON document instead of the table"
-    )
-    comparison.set_defaults(command=_compare)
-
-    inspector = commands.add_parser(
-        "mesh",
-        help="show what a mesh file holds, and what is wrong with it",
-        description="Counts, sizes, tags, quality and connected parts of a mesh file, and all that "
-        "is wrong with it. Cells and vertices count from 0, in file order. The exit code is 2 if "
-        "the mesh cannot be used.",
-    )
-    inspector.add_argument("file", metavar="FILE", type=Path, help="a mesh file")
-    inspector.add_argument(
-        "--scale", type=float, default=1.0, help="metres in a unit of the file (default: 1)"
-    )
-    inspector.add_argument(
-        "--json", action="store_true", help="print one JSON document instead of text"
-    )
-    inspector.set_defaults(command=_mesh)
-
-    student = commands.add_parser(
-        "study",
-        help="compute a grid of cases; table, files and figure",
-        description="Compute the cases of a study that no earlier run of the same sources has, and "
-        "write NAME.csv, NAME.json and, as pdf and png, a figure. Ctrl-C keeps what is done. With "
-        "PETSc options every case is computed anew, and none is kept.",
-    )
-    student.add_argument(
-        "study",
-        metavar="NAME",
-        help="see mixed-fem list; or the path of a Python file, whose studies are run: every "
-        "demos.studies.Study at its top level",
-    )
-    student.add_argument("--quick", action="store_true", help="a small grid, in a minute or so")
-    student.add_argument("--fresh", action="store_true", help="compute every case anew")
-    student.add_argument(
-        "--json", action="store_true", help="print one JSON document instead of the table"
-    )
-    student.add_argument(
-        "--out", metavar="DIR", type=Path, help="folder for the files (default: results/NAME)"
-    )
-    student.set_defaults(command=_study)
-
-    sweeper = commands.add_parser(
-        "sweep",
-        help="run a scene over a grid of its settings, and measure",
-        description="Run a scene for all combinations of some settings, and write what was "
-        "measured as a table, CSV, JSON and a figure. Along mesh.refine, mesh.h and time.h it "
-        "tells the observed order, what Richardson extrapolates, how far the finest value may be "
-        "from that (grid convergence index), and whether the series is asymptotic. With another "
-        "time.h the number of steps changes so that the end stays. Cases are kept; Ctrl-C keeps "
-        "what is done.",
-    )
-    sweeper.add_argument("scene", metavar="SCENE", help="name of a built-in scene, or path")
-    sweeper.add_argument(
-        "--vary",
-        metavar="KEY=VALUES",
-        action="append",
-        required=True,
-        help="a key of the scene and its values, as mesh.refine=0:3 (0, 1, 2, 3), "
-        "time.h=0.1,0.05 or material.2.E=1e5,1e6; may be given again",
-    )
-    sweeper.add_argument(
-        "--measure",
-        metavar="NAME",
-        action="append",
-        required=True,
-        help="what to measure, see mixed-fem list; may be given again",
-    )
-    sweeper.add_argument("--fresh", action="store_true", help="compute every case anew")
-    sweeper.add_argument(
-        "--json", action="store_true", help="print one JSON document instead of the table"
-    )
-    sweeper.add_argument(
-        "--out",
-        metavar="DIR",
-        type=Path,
-        help="folder for the files (default: results/sweep-SCENE)",
-    )
-    sweeper.set_defaults(command=_sweep, quick=False)
-    return parser
-
-
-def _integer(text: str) -> int:
-    try:
-        return int(text)
-    except ValueError as e:
-        raise argparse.ArgumentTypeError(f"must be a whole number, not {text!r}") from e
-
-
-class _Parser(argparse.ArgumentParser):
-    """An argument parser that speaks on rank 0 only, and complains in one line."""
-
-    def error(self, message: str) -> NoReturn:
-        raise UsageError(f"{message} (see {self.prog} --help)")
-
-    def print_help(self, file: Any = None) -> None:
-        if COMM.rank == 0:
-            super().print_help(file)
-
-
 def _abort(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> Any:
     """An exception on one rank would leave the others waiting for ever."""
     traceback.print_exception(kind, error, trace)
     sys.stderr.flush()
     COMM.Abort(1)
+
+
+COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {
+    "list": _list,
+    "run": _run,
+    "compare": _compare,
+    "mesh": _mesh,
+    "study": _study,
+    "sweep": _sweep,
+    "view": _view,
+    "plot": _plot,
+}

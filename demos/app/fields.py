@@ -17,11 +17,6 @@ from solvers.files import write_whole
 Array = npt.NDArray[np.float64]
 
 _KINDS = {(2, 3): "triangle", (2, 4): "quad", (3, 4): "tetra", (3, 8): "hexahedron"}
-_HEAD = (
-    '<?xml version="1.0"?>',
-    '<VTKFile type="Collection" version="1.0" byte_order="LittleEndian">',
-    "  <Collection>",
-)
 
 
 class Series:
@@ -92,7 +87,11 @@ def as_mesh(state: Mapping[str, Array]) -> meshio.Mesh:
     for name, label in (("S", "S"), ("R", "R"), ("Lam", "P")):
         if name in state:
             on_cells[label] = [_padded(state[name]).reshape(-1, 9).astype(np.float32)]
-    for name, label in (("von_mises", "von Mises stress"), ("tags", "tag")):
+    for name, label in (
+        ("von_mises", "von Mises stress"),
+        ("psi", "strain energy density"),
+        ("tags", "tag"),
+    ):
         if name in state:
             on_cells[label] = [state[name]]
     kind = _KINDS[d, state["cells"].shape[1]]

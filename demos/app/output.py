@@ -97,7 +97,8 @@ class Output:
             self._kept = self.steps
         else:
             on_rank_0(self._comm, folder, lambda: _remove(folder))
-        on_rank_0(self._comm, folder, lambda: _write_json(folder / ABOUT, about))
+        told = {**about, "formulation": simulation.model.form.name}
+        on_rank_0(self._comm, folder, lambda: _write_json(folder / ABOUT, told))
         kept = None if resumed is None else self.steps
         columns = [*_STEP, *residuals, *_ENERGIES, *_WORKS, *reactions, *_SECONDS]
         self._history = Csv(self._comm, folder / "history.csv", columns, kept)
@@ -172,7 +173,7 @@ class Output:
 
         def write() -> None:
             assert state is not None
-            kept = {name: state[name] for name in state if name not in ("R", "tags")}
+            kept = {name: state[name] for name in state if name not in ("R", "psi", "tags")}
             write_whole(
                 self.folder / "final.npz",
                 lambda path: np.savez_compressed(path, **kept),  # type: ignore[arg-type]
@@ -188,8 +189,8 @@ def final_state(simulation: Simulation) -> dict[str, Array] | None:
     Returns:
         On rank 0 ``X`` and ``x``, rest and present positions [m], and ``v``, velocity [m/s], of
         shape (vertices, d); ``S``, right stretch, and ``Lam``, first Piola-Kirchhoff stress [Pa],
-        of shape (cells, d, d); ``R``, rotation, likewise; ``von_mises``, that stress [Pa], and
-        ``tags``, of shape (cells,); ``cells``,
+        of shape (cells, d, d); ``R``, rotation, likewise; ``von_mises``, that stress [Pa],
+        ``psi``, strain energy density [J/m³], and ``tags``, of shape (cells,); ``cells``,
         vertex numbers, of simplices of shape (cells, d + 1) with each row in ascending order, else
         in the order of VTK; ``t``, the time [s]. S and both stresses are means over the cell.
         None on other ranks.
@@ -204,6 +205,7 @@ def final_state(simulation: Simulation) -> dict[str, Array] | None:
             ("Lam", simulation.stress()),
             ("R", _rotations(simulation.gradient())),
             ("von_mises", simulation.von_mises()),
+            ("psi", simulation.energy_density()),
         )
     } | dict(zip(("tags", "cells"), lists, strict=True))
     if X is None or u is None or v is None:

@@ -13,10 +13,12 @@ BAR = 30  # characters
 class Screen:
     """Prints on rank 0: on a terminal with a bar for work under way, else in plain lines."""
 
-    def __init__(self, comm: MPI.Comm, stream: TextIO | None = None) -> None:
-        """Speak on `stream`, by default standard output."""
+    def __init__(
+        self, comm: MPI.Comm, stream: TextIO | None = None, *, quiet: bool = False
+    ) -> None:
+        """Speak on `stream`, by default standard output, or not at all."""
         self._stream = stream if stream is not None else sys.stdout
-        self._silent = comm.rank != 0
+        self._silent = quiet or comm.rank != 0
         self._terminal = self._stream.isatty()
         self._bar = ""
 
@@ -51,3 +53,8 @@ class Screen:
 
     def _erase(self) -> str:
         return f"\r{' ' * len(self._bar)}\r" if self._bar else ""
+
+
+def duration(seconds: float) -> str:
+    """A time to wait, in words."""
+    return f"about {seconds / 60:.0f} min" if seconds > 90 else f"about {seconds:.0f} s"

@@ -14,12 +14,12 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx import mesh
 
-from demos.app import picture
+from demos.app import viewer
 from demos.app.about import about, differences
 from demos.app.fields import as_mesh
 from demos.app.files import make_folder
 from demos.app.output import CHECKPOINT, Output
-from demos.app.progress import Screen
+from demos.app.progress import Screen, duration
 from demos.app.scene import Scene
 from demos.app.simulation import Simulation, build_body
 from meshes import Body
@@ -94,10 +94,12 @@ def run(
     body = build_body(scene, comm)
     make_folder(comm, out)
     screen.line(f"{scene.name}: {_size(body)}, {_parameters(scene)}, h = {scene.h:g} s")
-    told = about(scene, comm)
+    told = about(scene, comm) | {
+        "caption": f"{scene.name}   {_parameters(scene).replace('nu =', 'ν =')}   {_size(body)}"
+    }
     main = _march(scene, body, scene.formulation, out, screen, restart, told)
     if main.state is not None and main.state["t"] > 0:
-        _draw(scene, body, main.state, out, screen)
+        _draw(main.state, out, screen)
     runs = [main]
     if scene.baseline is not None and scene.baseline != scene.formulation:
         beside = dataclasses.replace(restart, file=None)
@@ -131,12 +133,17 @@ def _march(
         output = Output(out, simulation, told, saved)
         begun = "" if saved is None else f", goes on after step {output.steps}"
         screen.line(f"{formulation}: ready after {time.perf_counter() - start:.1f} s{begun}")
-        before = output.steps
+        before, begin = output.steps, time.perf_counter()
         try:
             for result in simulation.march(scene.steps):
                 results.append(result)
                 output.step(result)
-                screen.progress(formulation, output.steps, scene.steps, _told(result))
+                done = output.steps - before
+                left = (time.perf_counter() - begin) / done * (scene.steps - output.steps)
+                told_step = f"t = {simulation.scheme.t:.4g} s, {_told(result)}"
+                if left > 0.0:
+                    told_step += f", {duration(left)} left"
+                screen.progress(formulation, output.steps, scene.steps, told_step)
                 if restart.every and output.steps % restart.every == 0:
                     output.checkpoint()
                 safe_point(comm)
@@ -231,12 +238,9 @@ def _cell(run: Run, step: int) -> str:
     return f"{iterations:>10} {result.timings['total']:>10.3f}"
 
 
-def _draw(scene: Scene, body: Body, state: State, out: Path, screen: Screen) -> None:
-    """Only on rank 0, from gathered arrays."""
-    parameters = _parameters(scene).replace("nu =", "ν =")
-    caption = f"{scene.name}   {parameters}   {_size(body)}   t = {float(state['t']):.3g} s"
-    up = [-g for g in scene.gravity]
-    reason = picture.draw(out / "final.npz", out / "picture.png", up=up, caption=caption)
+def _draw(state: State, out: Path, screen: Screen) -> None:
+    """Only on rank 0."""
+    reason = viewer.draw(out, out / "picture.png")
     if reason is None:
         screen.line(f"picture: {out / 'picture.png'}")
     else:
@@ -246,7 +250,10 @@ def _draw(scene: Scene, body: Body, state: State, out: Path, screen: Screen) -> 
 
 def _told(result: SolveResult) -> str:
     plural = "" if result.iterations == 1 else "s"
-    told = f"{result.iterations} Newton iteration{plural}, {result.timings['total']:.2f} s"
+    told = (
+        f"{result.iterations} Newton iteration{plural}, residual {result.residuals[-1]:.1e}, "
+        f"{result.timings['total']:.2f} s"
+    )
     return f"{told}, an unstable state: {result.unstable}" if result.unstable else told
 
 

@@ -180,6 +180,7 @@ class Simulation:
         self._gradient = CellMeans(deformation_gradient(u), u)
         self._stress = CellMeans(self.model.stress(self.scheme), u)
         self._von_mises = CellMeans(von_mises_stress(stretch, psi), u)
+        self._density = CellMeans(psi(stretch), u)
 
     def march(self, steps: int) -> Iterator[SolveResult]:
         """Yield the result of each step; go on from where `pace` stands.
@@ -221,6 +222,10 @@ class Simulation:
     def von_mises(self) -> npt.NDArray[np.float64]:
         """Von Mises stress [Pa] on the owned cells, shape (owned cells,)."""
         return self._von_mises.values()
+
+    def energy_density(self) -> npt.NDArray[np.float64]:
+        """Strain energy density Ψ [J/m³] on the owned cells, shape (owned cells,)."""
+        return self._density.values()
 
 
 class CellMeans:

@@ -3,6 +3,8 @@
 Your own: a Python file with `MINE = Study(...)`, and `mixed-fem study path/to/file.py`.
 """
 
+from mpi4py import MPI  # noqa: F401  (with the PyPI wheel MPI must be imported before DOLFINx)
+
 from demos.studies.benchmark import BENCHMARK
 from demos.studies.conservation import CONSERVATION
 from demos.studies.cost import COST

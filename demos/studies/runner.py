@@ -13,7 +13,7 @@ from pathlib import Path
 from mpi4py import MPI
 
 from demos.app.files import make_folder
-from demos.app.progress import Screen
+from demos.app.progress import Screen, duration
 from demos.studies.records import Record, of_case, plain
 from demos.studies.sources import sources
 from demos.studies.study import Parameters, Study
@@ -77,7 +77,7 @@ def run(
         found = None if fresh or not kept else cache.get(parameters)
         if found is None:
             left = (time.monotonic() - start) / (k - cached) * (len(cases) - k) if k > cached else 0
-            told = f"next: {_told(parameters)}" + (f"; {_minutes(left)} left" if left else "")
+            told = f"next: {_told(parameters)}" + (f"; {duration(left)} left" if left else "")
             screen.progress(study.name, k, len(cases), told)
             try:
                 found = of_case(parameters, study.compute(comm, parameters))
@@ -149,10 +149,6 @@ def _write(study: Study, records: Sequence[Record], out: Path, screen: Screen, r
         study.draw(records, figure)
         for suffix in (".pdf", ".png"):
             figure.savefig(stem.with_suffix(suffix), dpi=200)
-
-
-def _minutes(seconds: float) -> str:
-    return f"about {seconds / 60:.0f} min" if seconds > 90 else f"about {seconds:.0f} s"
 
 
 def _told(parameters: Parameters) -> str:

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from dolfinx import fem
 
-from demos.app import picture
+from demos.app import viewer
 from demos.app.cli import main
 from demos.app.fields import as_mesh
 from demos.app.output import final_state
@@ -67,7 +67,7 @@ def strip(tmp_path: Path) -> Path:
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Spare the seconds that a picture takes."""
-    monkeypatch.setattr(picture, "draw", lambda *_args, **_kwargs: "not needed by this test")
+    monkeypatch.setattr(viewer, "draw", lambda *_args, **_kwargs: "not needed by this test")
 
 
 def scene(path: Path) -> Scene:
@@ -380,36 +380,6 @@ def test_a_failed_step_keeps_those_before_it(strip, tmp_path, capfd, monkeypatch
 
 
 # Pictures
-
-
-@pytest.fixture(scope="module")
-def bent() -> dict[str, np.ndarray]:
-    """A column of six tetrahedra, sheared, in the arrays of a final state."""
-    X = np.array([[x, y, z] for z in (0, 1.0) for y in (0, 1.0) for x in (0, 1.0)])
-    cells = np.array([[0, a, b, 7] for a, b in ((1, 3), (1, 5), (2, 3), (2, 6), (4, 5), (4, 6))])
-    x = X + np.outer(X[:, 2], [0.8, 0, -0.1])
-    S = np.eye(3) + 0.1 * np.arange(6)[:, None, None] * np.ones((3, 3))
-    return {"X": X, "x": x, "S": S, "cells": cells}
-
-
-@pytest.mark.serial
-def test_picture(tmp_path, bent):
-    """A wide picture: white ground, ink, and the colours of the strains."""
-    image = pytest.importorskip("matplotlib.image")
-    np.savez(tmp_path / "final.npz", **bent)
-    reason = picture.draw(tmp_path / "final.npz", tmp_path / "a.png", up=(0, 0, 1), caption="Text")
-    if reason is not None:
-        pytest.skip(f"no rendering on this machine: {reason}")
-    pixels = image.imread(tmp_path / "a.png")[..., :3]
-    assert pixels.shape == (900, 1600, 3)
-    white = (pixels > 0.99).all(axis=2)
-    assert white[[0, -1]].all()
-    assert white[:, [0, -1]].all()
-    assert 0.2 < white.mean() < 0.95
-    assert len(np.unique((pixels[~white] * 32).astype(int), axis=0)) > 50
-    # turned upside down it is another picture of the same size
-    picture.draw(tmp_path / "final.npz", tmp_path / "b.png", up=(0, 0, -1), caption="Text")
-    assert not np.array_equal(image.imread(tmp_path / "b.png")[..., :3], pixels)
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
-from demos.app import files, picture
+from demos.app import files, viewer
 from demos.app.cli import main
 from demos.app.output import CHECKPOINT, Output
 from tests.demos.scenes import bar as bar_text
@@ -35,7 +35,7 @@ BAR = bar_text(
 
 @pytest.fixture
 def bar(tmp_path, monkeypatch) -> Path:
-    monkeypatch.setattr(picture, "draw", lambda *_args, **_kwargs: "not needed by this test")
+    monkeypatch.setattr(viewer, "draw", lambda *_args, **_kwargs: "not needed by this test")
     path = Path(COMM.bcast(str(tmp_path))) / "bar.toml"
     if COMM.rank == 0:
         path.write_text(BAR)
@@ -242,7 +242,7 @@ def test_a_full_disk(when, bar, capfd, monkeypatch):
     assert not [
         p for p in out.rglob("*") if p.is_file() and (not p.stat().st_size or ".part" in p.name)
     ]
-    monkeypatch.setattr(picture, "draw", lambda *_args, **_kwargs: "not needed by this test")
+    monkeypatch.setattr(viewer, "draw", lambda *_args, **_kwargs: "not needed by this test")
     assert run(bar, out, "--resume", "--steps", "12") == 0
     assert len(numbers(out)) == 12
 
