@@ -101,6 +101,28 @@ find_interpreter() {
   route=wheel python=$(uv python find --no-project --system 3.13)
 }
 
+# Debian's names of what this machine lacks: for forms, pictures and the shapes of gmsh.
+missing_packages() {
+  local known pair
+  if ! command -v "${CC:-cc}" >/dev/null && ! command -v gcc >/dev/null; then
+    printf '%s\n' gcc libc6-dev
+  fi
+  known=$({ ldconfig -p || /sbin/ldconfig -p; } 2>/dev/null) || return 0
+  for pair in libEGL.so.1=libegl1 libGL.so.1=libgl1 libXrender.so.1=libxrender1 \
+    libGLU.so.1=libglu1-mesa libXcursor.so.1=libxcursor1 libXft.so.2=libxft2 \
+    libXinerama.so.1=libxinerama1; do
+    case $known in *"${pair%=*}"*) ;; *) printf '%s\n' "${pair#*=}" ;; esac
+  done
+}
+
+say_missing() {
+  local missing
+  missing=$(missing_packages | tr '\n' ' ')
+  if [ -n "$missing" ]; then
+    say "this machine lacks some libraries; on Debian: apt install ${missing% }"
+  fi
+}
+
 check_glibc() {
   local glibc
   glibc=$(getconf GNU_LIBC_VERSION 2>/dev/null | cut -d' ' -f2) || glibc=''
@@ -120,7 +142,7 @@ check_compiler() {
   # shellcheck disable=SC2086
   $cc -shared -fPIC -x c -o "$out" - 2>/dev/null \
     <<<$'#include <math.h>\ndouble f(double x) { return sqrt(x); }' ||
-    die "no C compiler, which forms need: '$cc' does not compile; install gcc (Debian: build-essential) or name one, CC=..."
+    die "no C compiler, which forms need: '$cc' does not compile; install gcc or name one, CC=... (Debian, with all else that is missing: apt install gcc libc6-dev $(missing_packages | grep -v '^gcc$\|^libc6-dev$' | tr '\n' ' '))"
   # shellcheck disable=SC2086
   $cc -I"$include" -fsyntax-only -x c - 2>/dev/null <<<'#include <Python.h>' ||
     die "no Python.h in $include, which forms need; install the headers of $python (Debian: python3-dev)"
@@ -244,6 +266,7 @@ if works; then
 else
   find_interpreter
 fi
+say_missing
 if [ "$route" = wheel ]; then check_glibc; fi
 check_compiler
 works || make_venv

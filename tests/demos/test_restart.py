@@ -254,3 +254,23 @@ def test_a_row_that_cannot_be_written(bar, capfd, monkeypatch):
     monkeypatch.setattr(files.Csv, "row", full)
     assert run(bar, bar.parent / "out") == 2
     assert "history.csv" in COMM.bcast(capfd.readouterr().err)
+
+
+@pytest.mark.serial
+def test_interrupts_while_libraries_are_loaded():
+    """One line and exit code 130, whatever was being imported."""
+    for k in range(6):
+        process = subprocess.Popen(
+            [sys.executable, "-m", "demos", "list"],
+            stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+        )  # fmt: skip
+        time.sleep(0.1 + 0.07 * k)
+        process.send_signal(signal.SIGINT)
+        said = process.communicate(timeout=60)[1]
+        if process.returncode == -signal.SIGINT and "demos" not in said:
+            continue  # Python itself had hardly begun
+        if process.returncode == 0:
+            continue  # it had ended
+        assert process.returncode == 130
+        (line,) = said.strip().splitlines()
+        assert line.startswith("mixed-fem: interrupted")
