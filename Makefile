@@ -20,7 +20,7 @@ export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 export MPLCONFIGDIR ?= $(CURDIR)/.cache/matplotlib
 
-.PHONY: help setup demo test lint clean test-debian
+.PHONY: help setup demo test lint docs clean test-debian
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 22
@@ -43,6 +43,15 @@ lint: setup ## check style, format and types
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
 	@$(BIN)/mypy
+
+docs: setup ## build the site in build/docs: pages, demos run, reference; and check it in a browser
+	@$(BIN)/python -c 'import furo, jupytext, myst_nb' 2>/dev/null || \
+	  $(BIN)/python -m pip install -q --disable-pip-version-check -e '.[docs]'
+	@mkdir -p build; $(BIN)/mixed-fem compare --json >build/compare.json 2>build/compare.log || \
+	  { tail -n 20 build/compare.log; exit 1; }
+	@$(BIN)/sphinx-build -W --keep-going -q -b html docs build/docs
+	@$(BIN)/python -m pytest -q tests/test_docs.py
+	@echo "docs: open build/docs/index.html"
 
 test-debian: ## run make test in a chroot of Debian unstable, with its own DOLFINx (root only)
 	@tools/test_debian.sh

@@ -101,25 +101,23 @@ find_interpreter() {
   route=wheel python=$(uv python find --no-project --system 3.13)
 }
 
-# Debian's names of what this machine lacks: for forms, pictures and the shapes of gmsh.
-missing_packages() {
-  local known pair
-  if ! command -v "${CC:-cc}" >/dev/null && ! command -v gcc >/dev/null; then
-    printf '%s\n' gcc libc6-dev
-  fi
+# Debian's names of the libraries that pictures and the shapes of gmsh need and this machine lacks.
+missing_libraries() {
+  local known pair missing=()
   known=$({ ldconfig -p || /sbin/ldconfig -p; } 2>/dev/null) || return 0
   for pair in libEGL.so.1=libegl1 libGL.so.1=libgl1 libXrender.so.1=libxrender1 \
     libGLU.so.1=libglu1-mesa libXcursor.so.1=libxcursor1 libXft.so.2=libxft2 \
     libXinerama.so.1=libxinerama1; do
-    case $known in *"${pair%=*}"*) ;; *) printf '%s\n' "${pair#*=}" ;; esac
+    case $known in *"${pair%=*}"*) ;; *) missing+=("${pair#*=}") ;; esac
   done
+  printf '%s' "${missing[*]}"
 }
 
 say_missing() {
   local missing
-  missing=$(missing_packages | tr '\n' ' ')
+  missing=$(missing_libraries)
   if [ -n "$missing" ]; then
-    say "this machine lacks some libraries; on Debian: apt install ${missing% }"
+    say "pictures and shapes of gmsh need libraries that are missing; on Debian: apt install $missing"
   fi
 }
 
@@ -142,7 +140,7 @@ check_compiler() {
   # shellcheck disable=SC2086
   $cc -shared -fPIC -x c -o "$out" - 2>/dev/null \
     <<<$'#include <math.h>\ndouble f(double x) { return sqrt(x); }' ||
-    die "no C compiler, which forms need: '$cc' does not compile; install gcc or name one, CC=... (Debian, with all else that is missing: apt install gcc libc6-dev $(missing_packages | grep -v '^gcc$\|^libc6-dev$' | tr '\n' ' '))"
+    die "no C compiler, which forms need: '$cc' does not compile; install gcc or name one, CC=... (Debian, with all else that is missing: apt install gcc libc6-dev $(missing_libraries))"
   # shellcheck disable=SC2086
   $cc -I"$include" -fsyntax-only -x c - 2>/dev/null <<<'#include <Python.h>' ||
     die "no Python.h in $include, which forms need; install the headers of $python (Debian: python3-dev)"
