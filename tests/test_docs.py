@@ -86,12 +86,13 @@ def test_every_equation_has_its_verdict():
 
 
 @needs_site
-def test_the_site_opens_in_a_browser():
+def test_the_site_opens_in_a_browser(tmp_path, monkeypatch):
     """The first page shows its picture, and leads to the method."""
     webdriver = pytest.importorskip("selenium.webdriver")
     chromium, driver = shutil.which("chromium"), shutil.which("chromedriver")
     if chromium is None or driver is None:
         pytest.skip("no chromium and chromedriver here (Debian: chromium, chromium-driver)")
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))  # where Chromium writes
     options = webdriver.ChromeOptions()
     options.binary_location = chromium
     for argument in ("--headless=new", "--no-sandbox", "--disable-gpu", "--window-size=1400,900"):

@@ -101,14 +101,12 @@ class Stage:
 
     def _put(self, state: dict[str, Any], values: Array) -> None:
         self._body.points = _padded(state["x"])
-        if len(values) == len(state["cells"]):
+        if FIELDS[self._name].on == "cells":
             self._body.cell_data["colour"] = values[self._body.cell_data["cell"]]
         else:
             self._body.point_data["colour"] = values
-        self._time.input = f"{self._caption()}   t = {float(state['t']):.3f} s"
-
-    def _caption(self) -> str:
-        return str(self._results.about.get("caption", ""))
+        caption = self._results.about.get("caption", "")
+        self._time.input = f"{caption}   t = {float(state['t']):.3f} s"
 
     def _text(self, text: str, place: tuple[float, float], size: int) -> Any:
         return self.plotter.add_text(
@@ -116,8 +114,8 @@ class Stage:
         )
 
     def _add_body(self, field: Field, low: float, high: float) -> None:
-        if field.on == "cells" or low >= 0.0:
-            low = low if field is FIELDS["stretch"] else min(low, 0.0)
+        if field is not FIELDS["stretch"]:
+            low = min(low, 0.0)
         start, step, ticks = _ticks(low, high)
         actor = self.plotter.add_mesh(
             self._body,

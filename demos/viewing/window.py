@@ -20,14 +20,15 @@ def show(stage: Stage, results: Results) -> None:
     last = stage.states - 1
     shown = {"k": last, "playing": False}
     plotter = stage.plotter
-    slider = plotter.add_slider_widget(
-        lambda value: at(round(value)), (0, max(last, 1)), value=last, title="step", fmt="%.0f",
-        pointa=(0.35, 0.06), pointb=(0.85, 0.06), style="modern",
-    )  # fmt: skip
 
     def at(k: int) -> None:
         shown["k"] = min(max(k, 0), last)
         stage.show(shown["k"])
+
+    slider = plotter.add_slider_widget(
+        lambda value: at(round(value)), (0, max(last, 1)), value=last, title="step", fmt="%.0f",
+        pointa=(0.35, 0.06), pointb=(0.85, 0.06), style="modern",
+    )  # fmt: skip
 
     def go(k: int) -> None:
         at(k)

@@ -224,7 +224,7 @@ def test_damaged_results(name, damage, folder, tmp_path):
         results.summary()
 
 
-def test_page_plays_in_a_browser(folder, tmp_path):
+def test_page_plays_in_a_browser(folder, tmp_path, monkeypatch):
     """A click on play moves the body on the screen."""
     webdriver = pytest.importorskip("selenium.webdriver")
     pytest.importorskip("trame")
@@ -238,6 +238,7 @@ def test_page_plays_in_a_browser(folder, tmp_path):
         assert page.stdout is not None
         address = re.search(r"http://\S+", page.stdout.readline())
         assert address is not None
+        monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))  # where Chromium writes
         options = webdriver.ChromeOptions()
         options.binary_location = chromium
         for argument in ("--headless=new", "--no-sandbox", "--disable-gpu"):
