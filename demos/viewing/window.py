@@ -26,8 +26,8 @@ def show(stage: Stage, results: Results) -> None:
         stage.show(shown["k"])
 
     slider = plotter.add_slider_widget(
-        lambda value: at(round(value)), (0, max(last, 1)), value=last, title="step", fmt="%.0f",
-        pointa=(0.35, 0.06), pointb=(0.85, 0.06), style="modern",
+        lambda value: at(round(value)), (0, max(last, 1)), value=last, title="", fmt="%.0f",
+        pointa=(0.3, 0.93), pointb=(0.7, 0.93), style="modern",
     )  # fmt: skip
 
     def go(k: int) -> None:
