@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
-import shutil
 from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 import pytest
+
+from tests.browser import chromium
 
 pytestmark = pytest.mark.serial
 
@@ -88,21 +89,9 @@ def test_every_equation_has_its_verdict():
 @needs_site
 def test_the_site_opens_in_a_browser(tmp_path, monkeypatch):
     """The first page shows its picture, and leads to the method."""
-    webdriver = pytest.importorskip("selenium.webdriver")
-    chromium, driver = shutil.which("chromium"), shutil.which("chromedriver")
-    if chromium is None or driver is None:
-        pytest.skip("no chromium and chromedriver here (Debian: chromium, chromium-driver)")
-    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))  # where Chromium writes
-    options = webdriver.ChromeOptions()
-    options.binary_location = chromium
-    for argument in ("--headless=new", "--no-sandbox", "--disable-gpu", "--window-size=1400,900"):
-        options.add_argument(argument)
-    browser = webdriver.Chrome(options, webdriver.ChromeService(driver))
-    try:
+    with chromium(tmp_path, monkeypatch) as browser:
         browser.get((SITE / "index.html").as_uri())
         width = "return document.querySelector('article img').naturalWidth"
         assert browser.execute_script(width) > 1000
         browser.find_element("link text", "the method in ten minutes").click()
         assert "The method in ten minutes" in browser.title
-    finally:
-        browser.quit()

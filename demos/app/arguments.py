@@ -90,9 +90,7 @@ def parser() -> argparse.ArgumentParser:
         metavar="N",
         help="one equation: as in the seed, as it should be, what is compared, the numbers",
     )
-    comparison.add_argument(
-        "--json", action="store_true", help="print one JSON document instead of the table"
-    )
+    _add_json(comparison, "the table")
 
     inspector = commands.add_parser(
         "mesh",
@@ -105,9 +103,7 @@ def parser() -> argparse.ArgumentParser:
     inspector.add_argument(
         "--scale", type=float, default=1.0, help="metres in a unit of the file (default: 1)"
     )
-    inspector.add_argument(
-        "--json", action="store_true", help="print one JSON document instead of text"
-    )
+    _add_json(inspector, "text")
 
     student = commands.add_parser(
         "study",
@@ -124,9 +120,7 @@ def parser() -> argparse.ArgumentParser:
     )
     student.add_argument("--quick", action="store_true", help="a small grid, in a minute or so")
     student.add_argument("--fresh", action="store_true", help="compute every case anew")
-    student.add_argument(
-        "--json", action="store_true", help="print one JSON document instead of the table"
-    )
+    _add_json(student, "the table")
     student.add_argument(
         "--out", metavar="DIR", type=Path, help="folder for the files (default: results/NAME)"
     )
@@ -158,9 +152,7 @@ def parser() -> argparse.ArgumentParser:
         help="what to measure, see mixed-fem list; may be given again",
     )
     sweeper.add_argument("--fresh", action="store_true", help="compute every case anew")
-    sweeper.add_argument(
-        "--json", action="store_true", help="print one JSON document instead of the table"
-    )
+    _add_json(sweeper, "the table")
     sweeper.add_argument(
         "--out",
         metavar="DIR",
@@ -204,6 +196,11 @@ def parser() -> argparse.ArgumentParser:
         "--out", metavar="FILE", type=Path, help="png, pdf or svg (default: RESULTS/plot.png)"
     )
     return whole
+
+
+def _add_json(command: argparse.ArgumentParser, otherwise: str) -> None:
+    told = f"print one JSON document instead of {otherwise}"
+    command.add_argument("--json", action="store_true", help=told)
 
 
 def _integer(text: str) -> int:

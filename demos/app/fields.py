@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from demos.app.files import on_rank_0
+from demos.viewing import FIELDS
 from solvers.files import write_whole
 
 Array = npt.NDArray[np.float64]
@@ -82,8 +83,7 @@ def as_mesh(state: Mapping[str, Array]) -> meshio.Mesh:
     at_vertices = {"u": _padded(state["x"] - state["X"])}
     if "v" in state:
         at_vertices["v"] = _padded(state["v"])
-    strain = np.linalg.norm(state["S"] - np.eye(d), axis=(1, 2))
-    on_cells = {"|S - I|": [strain]}
+    on_cells = {"|S - I|": [FIELDS["strain"].values(state)]}
     for name, label in (("S", "S"), ("R", "R"), ("Lam", "P")):
         if name in state:
             on_cells[label] = [_padded(state[name]).reshape(-1, 9).astype(np.float32)]

@@ -250,9 +250,9 @@ def verdict(records: Sequence[Record]) -> list[str]:
         most = MOST_KRYLOV.get(r["method"])
         if most is not None and r["krylov_max"] > most:
             lines.append(f"{where[id(r)]}: {r['krylov_max']} Krylov iterations, more than {most}")
-        most = SAME + ROUNDED * r["contrast"]
-        if r["difference"] is not None and r["difference"] > most:
-            lines.append(f"{where[id(r)]}: {r['difference']:.1e} from `direct`, more than {most:g}")
+        same = SAME + ROUNDED * r["contrast"]
+        if r["difference"] is not None and r["difference"] > same:
+            lines.append(f"{where[id(r)]}: {r['difference']:.1e} from `direct`, more than {same:g}")
     done = {(_departure(r), r["n"], r["method"]): r for r in records if not r["failure"]}
     for (departure, n, method), r in done.items():
         like = done.get((departure, n, LIKE.get(method, "")))

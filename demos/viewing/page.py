@@ -47,7 +47,7 @@ def serve(stage: Stage, results: Results, port: int) -> None:
             await asyncio.sleep(INTERVAL)
 
     with layout.SinglePageLayout(server) as page:
-        page.title.set_text(str(results.summary()["scene"]))
+        page.title.set_text(results.name)
         with page.toolbar:
             with vuetify.VBtn(icon=True, id="play", click="playing = !playing"):
                 vuetify.VIcon("{{ playing ? 'mdi-pause' : 'mdi-play' }}")

@@ -38,7 +38,7 @@ def plot(results: Results) -> Figure:
     _iterations(iterations, results)
     _residuals(residuals, results)
     _reactions(reactions, results)
-    figure.suptitle(f"{results.summary()['scene']}, {results.about.get('formulation', '')}")
+    figure.suptitle(f"{results.name}, {results.about.get('formulation', '')}")
     return figure
 
 

@@ -8,15 +8,17 @@ import json
 from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree as ET
 
 import meshio.vtu
 import numpy as np
 import numpy.typing as npt
-import pandas as pd
 
-from demos.viewing.colours import FIELDS
+from demos.viewing.colours import FIELDS, State
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Array = npt.NDArray[Any]
 
@@ -106,12 +108,21 @@ class Results:
         Raises:
             ResultsError: There is no such field, or the run has not written it.
         """
+        return self.field_of(self[k], name)
+
+    def field_of(self, state: State, name: str) -> npt.NDArray[np.float64]:
+        """A scalar field of a state that has been read, see `field`."""
         if name not in FIELDS:
             raise ResultsError(f"field {name}: unknown; available: {', '.join(FIELDS)}")
         try:
-            return FIELDS[name].values(self[k])
+            return FIELDS[name].values(state)
         except KeyError as e:
             raise ResultsError(f"{self.folder}: has no {name}; run the scene again") from e
+
+    @property
+    def name(self) -> str:
+        """That of the scene."""
+        return str(self.about.get("name", self.about.get("file", "")))
 
     @cached_property
     def history(self) -> pd.DataFrame:
@@ -127,7 +138,7 @@ class Results:
         """What was run and what came out, in a few words each."""
         history, first = self.history, self[0]
         told = {
-            "scene": str(self.about.get("name", self.about.get("file", ""))),
+            "scene": self.name,
             "body": f"{len(first['cells'])} cells, {len(first['X'])} vertices",
             "formulation": str(self.about.get("formulation", "")),
             "steps": f"{len(history)}, to t = {self.times[-1]:.4g} s",
@@ -199,6 +210,8 @@ def _listing(path: Path) -> tuple[list[Path], list[float]]:
 
 
 def _table(path: Path) -> pd.DataFrame:
+    import pandas as pd
+
     try:
         return pd.read_csv(path)
     except OSError as e:

@@ -58,12 +58,14 @@ class Stage:
         self.states = len(results)
         self._up = np.array(results.about.get("gravity", ()), dtype=np.float64) * -1.0
         shown = range(self.states) if only is None else [only % self.states]
-        values = [results.field(field, k) for k in shown]
-        last = results[shown[-1]]
+        values, extremes = [], []
+        for k in shown:
+            last = results[k]
+            values.append(results.field_of(last, field))
+            extremes.append(_extremes(_padded(last["x"])))
         self._planar = last["X"].shape[1] == 2
         self._body = _surface(self._pv, last["X"], last["cells"])
         self._rest = self._body.copy()
-        extremes = [_extremes(_padded(results[k]["x"])) for k in shown]
         self._space = np.vstack([self._rest.points, *extremes])
         self.plotter = self._pv.Plotter(off_screen=not window, window_size=list(SIZE))
         self.plotter.set_background("white")
@@ -76,7 +78,8 @@ class Stage:
 
     def show(self, k: int) -> None:
         """Put a state on the stage."""
-        self._put(self._results[k], self._results.field(self._name, k))
+        state = self._results[k]
+        self._put(state, self._results.field_of(state, self._name))
 
     def picture(self, path: Path) -> None:
         """Write what is seen as a PNG."""

@@ -18,6 +18,7 @@ import pytest
 from demos.app.cli import main
 from demos.app.viewer import draw
 from demos.viewing import FIELDS, Results, ResultsError, load, plot
+from tests.browser import chromium
 
 pytestmark = pytest.mark.serial
 
@@ -226,26 +227,17 @@ def test_damaged_results(name, damage, folder, tmp_path):
 
 def test_page_plays_in_a_browser(folder, tmp_path, monkeypatch):
     """A click on play moves the body on the screen."""
-    webdriver = pytest.importorskip("selenium.webdriver")
     pytest.importorskip("trame")
-    chromium, driver = shutil.which("chromium"), shutil.which("chromedriver")
-    if chromium is None or driver is None:
-        pytest.skip("no chromium and chromedriver here (Debian: chromium, chromium-driver)")
     rendering(folder)
-    command = [sys.executable, "-m", "demos.viewing", str(folder), "--port", "0"]
-    page = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
-    try:
-        assert page.stdout is not None
-        address = re.search(r"http://\S+", page.stdout.readline())
-        assert address is not None
-        monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))  # where Chromium writes
-        options = webdriver.ChromeOptions()
-        options.binary_location = chromium
-        for argument in ("--headless=new", "--no-sandbox", "--disable-gpu"):
-            options.add_argument(argument)
-        browser = webdriver.Chrome(options, webdriver.ChromeService(driver))
+    with chromium(tmp_path, monkeypatch) as browser:
+        command = [sys.executable, "-m", "demos.viewing", str(folder), "--port", "0"]
+        page = subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+        )
         try:
-            browser.set_page_load_timeout(60)
+            assert page.stdout is not None
+            address = re.search(r"http://\S+", page.stdout.readline())
+            assert address is not None
             browser.get(address[0])
             still = wait_for(lambda: browser.find_elements("css selector", "img[src^=blob]"))
             first = still[0].get_attribute("src")
@@ -256,10 +248,8 @@ def test_page_plays_in_a_browser(folder, tmp_path, monkeypatch):
             one = browser.get_screenshot_as_png()
             wait_for(lambda: browser.get_screenshot_as_png() != one)
         finally:
-            browser.quit()
-    finally:
-        page.send_signal(signal.SIGINT)
-        page.communicate(timeout=20)
+            page.send_signal(signal.SIGINT)
+            page.communicate(timeout=20)
 
 
 def wait_for(what, seconds: float = 30.0):
