@@ -28,8 +28,8 @@ help: ## list the targets
 setup: ## install what is missing into .venv
 	@tools/setup.sh
 
-demo: setup ## run the hanging bar: table, fields and picture in results/hanging-bar
-	@timeout -k 10 $(DEMO_TIMEOUT) $(BIN)/mixed-fem run hanging-bar
+demo: setup ## throw a bear, by ten methods: a table, and a picture in results/thrown-bear
+	@timeout -k 10 $(DEMO_TIMEOUT) $(BIN)/mixed-fem run thrown-bear
 
 test: setup ## run the test-suite in serial, then on RANKS=2 ranks
 	@echo "== tests, serial"

@@ -144,11 +144,10 @@ def _run(given: argparse.Namespace) -> int:
     overrides = Overrides(given.steps, given.formulation, given.material, given.solver)
     scene = load(COMM, given.scene, overrides)
     out = given.out if given.out is not None else Path("results") / scene.name
-    failures = run(scene, COMM, out, Screen(COMM, quiet=given.quiet), restart)
-    if COMM.rank == 0:
-        for failure in failures:
-            print(f"mixed-fem: {failure}", file=sys.stderr)
-    return 1 if failures else 0
+    failure = run(scene, COMM, out, Screen(COMM, quiet=given.quiet), restart)
+    if failure and COMM.rank == 0:
+        print(f"mixed-fem: {failure}", file=sys.stderr)
+    return 1 if failure else 0
 
 
 def _compare(given: argparse.Namespace) -> int:

@@ -1,10 +1,10 @@
-"""`mixed-fem run`: a scene from its file to results on disk, and its baseline beside it."""
+"""`mixed-fem run`: a scene from its file to results on disk, and its baselines beside it."""
 
 from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from dolfinx import mesh
 
 from demos.app import viewer
 from demos.app.about import about, differences
+from demos.app.baselines import Baseline
 from demos.app.fields import as_mesh
 from demos.app.files import make_folder
 from demos.app.output import CHECKPOINT, Output
@@ -35,20 +36,23 @@ from solvers import (
 
 State = Mapping[str, npt.NDArray[Any]]
 
+MOST_COLUMNS = 12
+"""Steps that the table shows one by one; of more, only what they come to."""
 
-@dataclasses.dataclass(frozen=True)
+
+@dataclasses.dataclass(frozen=True, eq=False)
 class Run:
-    """What a formulation made of a scene.
+    """What a method made of a scene.
 
     Attributes:
-        formulation: Its name.
+        method: Its formulation, and its globalisation if that is not the solver's choice.
         results: One for each step that it made, the failed one included.
         before: How many steps it found made.
         failure: What to say if the last of them failed, else nothing.
         state: The final state on rank 0, see `demos.app.output.final_state`.
     """
 
-    formulation: str
+    method: str
     results: tuple[SolveResult, ...]
     before: int
     failure: str
@@ -72,18 +76,19 @@ class Restart:
 
 def run(
     scene: Scene, comm: MPI.Comm, out: Path, screen: Screen, restart: Restart = Restart()
-) -> list[str]:
-    """Run a scene, write its results, draw it, and run its baseline if it has one. Collective.
+) -> str:
+    """Run a scene, write its results, draw it, and run its baselines if it has some. Collective.
 
     Args:
         scene: What to run.
         comm: Communicator.
-        out: Folder for the results; those of the baseline go to a folder in it.
+        out: Folder for the results; those of baselines go to folders in it.
         screen: Where to report.
         restart: Checkpoints.
 
     Returns:
-        A message for each solve that failed. What was computed before the failure is on disk.
+        What to say if a solve failed, else nothing. What was computed before is on disk. Where a
+        baseline fails, the table says so.
 
     Raises:
         SceneError: The scene and its mesh do not fit.
@@ -97,34 +102,46 @@ def run(
     told = about(scene, comm) | {
         "caption": f"{scene.name}   {_parameters(scene).replace('nu =', 'ν =')}   {_size(body)}"
     }
-    main = _march(scene, body, scene.formulation, out, screen, restart, told)
+    main = _march(scene, body, out, screen, restart, told)
+    screen.line(f"{main.method}: results in {out}")
     if main.state is not None and main.state["t"] > 0:
         _draw(main.state, out, screen)
     runs = [main]
-    if scene.baseline is not None and scene.baseline != scene.formulation:
-        beside = dataclasses.replace(restart, file=None)
-        baseline = _march(scene, body, scene.baseline, out / scene.baseline, screen, beside, told)
-        runs.append(baseline)
-        for line in comparison(scene, main, baseline):
+    for other in scene.baselines:
+        given = dataclasses.replace(
+            scene, formulation=other.formulation, globalisation=other.globalisation
+        )
+        if _method(given) != main.method:
+            folder = out / str(other).replace(" ", "-")
+            beside = dataclasses.replace(restart, file=None)
+            runs.append(_march(given, body, folder, screen, beside, told))
+            if runs[-1].failure:
+                screen.line(runs[-1].failure.splitlines()[0])
+    if len(runs) > 1:
+        for line in comparison(runs):
             screen.line(line)
+        screen.line(f"seconds of all steps; apart: the farthest final coordinate; results in {out}")
     comm.barrier()  # rank 0 is still writing when the others have nothing left to do
-    return [r.failure for r in runs if r.failure]
+    return main.failure
+
+
+def _method(scene: Scene) -> str:
+    return str(Baseline(scene.formulation, scene.globalisation))
 
 
 def _march(
     scene: Scene,
     body: Body,
-    formulation: str,
     out: Path,
     screen: Screen,
     restart: Restart,
     told: Mapping[str, Any],
 ) -> Run:
-    comm = body.mesh.comm
-    saved = _saved(comm, out, formulation, told["scene"], screen, restart)
-    screen.line(f"{formulation}: preparing forms (the first time compiles them, about 15 s in 3D)")
+    comm, method = body.mesh.comm, _method(scene)
+    saved = _saved(comm, out, scene.formulation, told["scene"], screen, restart)
+    screen.line(f"{method}: preparing forms (the first time compiles them, about 15 s in 3D)")
     start = time.perf_counter()
-    simulation = Simulation(scene, body, formulation)
+    simulation = Simulation(scene, body)
     if saved is not None:
         saved.put(body, simulation.model, simulation.scheme)
     results: list[SolveResult] = []
@@ -132,7 +149,7 @@ def _march(
     with deferred():
         output = Output(out, simulation, told, saved)
         begun = "" if saved is None else f", goes on after step {output.steps}"
-        screen.line(f"{formulation}: ready after {time.perf_counter() - start:.1f} s{begun}")
+        screen.line(f"{method}: ready after {time.perf_counter() - start:.1f} s{begun}")
         before, begin = output.steps, time.perf_counter()
         try:
             for result in simulation.march(scene.steps):
@@ -143,7 +160,7 @@ def _march(
                 told_step = f"t = {simulation.scheme.t:.4g} s, {_told(result)}"
                 if left > 0.0:
                     told_step += f", {duration(left)} left"
-                screen.progress(formulation, output.steps, scene.steps, told_step)
+                screen.progress(method, output.steps, scene.steps, told_step)
                 if restart.every and output.steps % restart.every == 0:
                     output.checkpoint()
                 safe_point(comm)
@@ -151,23 +168,22 @@ def _march(
             results.append(error.result)
             output.iterations(error.result)
             failure = (
-                f"{formulation}: step {output.steps + 1} of {scene.steps} failed, the state at t = "
+                f"{method}: step {output.steps + 1} of {scene.steps} failed, the state at t = "
                 f"{simulation.scheme.t:g} s is kept in {out}: {error}"
             )
         except FloatingPointError as error:
-            failure = f"{formulation}: step {output.steps + 1} of {scene.steps} failed: {error}"
+            failure = f"{method}: step {output.steps + 1} of {scene.steps} failed: {error}"
         except KeyboardInterrupt as error:
             output.checkpoint()
             output.final()
             error.args = (
-                f"{formulation}: {output.steps} of {scene.steps} steps are done and kept in {out}; "
+                f"{method}: {output.steps} of {scene.steps} steps are done and kept in {out}; "
                 "the same command with --resume goes on",
             )
             raise
         output.checkpoint()
         state = output.final()
-    screen.line(f"{formulation}: results in {out}")
-    return Run(formulation, tuple(results), before, failure, state)
+    return Run(method, tuple(results), before, failure, state)
 
 
 def _saved(
@@ -201,41 +217,41 @@ def _saved(
     return saved
 
 
-def comparison(scene: Scene, main: Run, baseline: Run) -> list[str]:
-    """A table of Newton iterations and seconds a step for two formulations, in lines."""
-    runs = (main, baseline)
+def comparison(runs: Sequence[Run]) -> list[str]:
+    """A table of the Newton iterations, a line a run, in lines; the first run is what counts."""
+    made = {
+        run: [r.iterations for r in run.results if r.reason.startswith("CONVERGED")] for run in runs
+    }
+    steps = max(run.before + len(made[run]) + bool(run.failure) for run in runs)
+    each = steps <= MOST_COLUMNS
+    heads = [f"{k}" for k in range(1, steps + 1)] if each else ["median", "most"]
+    rows = [["Newton iterations of step" if each else "Newton iterations of a step", *heads]]
+    rows[0] += ["total", "seconds", "apart [m]"]
+    for run in runs:
+        counts, last = made[run], "fails" if run.failure else ""
+        if each:
+            told = ["-"] * run.before + [f"{count}" for count in counts] + [last]
+            told = (told + [""] * steps)[:steps]
+        elif counts:
+            told = [f"{np.median(counts):g}", last or f"{max(counts)}"]
+        else:
+            told = ["-", last or "-"]
+        total = sum(result.iterations for result in run.results)
+        seconds = sum(result.timings["total"] for result in run.results)
+        rows.append([run.method, *told, f"{total}", f"{seconds:.2f}", _apart(runs[0], run)])
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = [
-        "",
-        f"{'':>6}  " + "  ".join(f"{r.formulation:^21}" for r in runs),
-        f"{'step':>6}  " + "  ".join(f"{'Newton':>10} {'seconds':>10}" for _ in runs),
+        "  ".join([name.ljust(widths[0]), *map(str.rjust, row, widths[1:])]).rstrip()
+        for name, *row in rows
     ]
-    for k in range(scene.steps):
-        lines.append(f"{k + 1:>6}  " + "  ".join(_cell(r, k) for r in runs))
-    totals = [
-        f"{sum(s.iterations for s in r.results):>10} "
-        f"{sum(s.timings['total'] for s in r.results):>10.3f}"
-        for r in runs
-    ]
-    lines.append(f"{'total':>6}  " + "  ".join(totals))
-    if (
-        main.state is not None
-        and baseline.state is not None
-        and not (main.failure or baseline.failure)
-    ):
-        difference = np.abs(main.state["x"] - baseline.state["x"]).max()
-        lines.append(f"largest difference of a final coordinate: {difference:.1e} m")
-    return lines
+    return ["", *lines]
 
 
-def _cell(run: Run, step: int) -> str:
-    step -= run.before
-    if not 0 <= step < len(run.results):
-        return f"{'-':>10} {'-':>10}"
-    result = run.results[step]
-    iterations = f"{result.iterations}"
-    if run.failure and step == len(run.results) - 1:
-        iterations = f"fails ({iterations})"
-    return f"{iterations:>10} {result.timings['total']:>10.3f}"
+def _apart(first: Run, other: Run) -> str:
+    """The largest difference of a final coordinate, where both have come to the end."""
+    if other is first or first.failure or other.failure or not (first.state and other.state):
+        return ""
+    return f"{np.abs(first.state['x'] - other.state['x']).max():.1e}"
 
 
 def _draw(state: State, out: Path, screen: Screen) -> None:

@@ -14,6 +14,7 @@ from typing import Any
 from mpi4py import MPI
 
 from demos.app import keys
+from demos.app.baselines import Baseline, baselines
 from demos.app.start import Start
 from demos.app.tables import SceneError, Table, flat, suggestion
 from forms import (
@@ -116,9 +117,8 @@ class Scene:
         formulation: Which Lagrangian.
         degree: Of the displacement.
         solver: Which solver of the Newton system.
-        globalisation: What keeps Newton's method from diverging; None for the solver's choice. Not
-            for the baseline.
-        baseline: A formulation to run after, for comparison.
+        globalisation: What keeps Newton's method from diverging; None for the solver's choice.
+        baselines: Other methods to run after, for comparison.
         keys: All keys of the file by their places, such as "time.h", those of the command line
             among them.
         text: Of the file.
@@ -143,7 +143,7 @@ class Scene:
     degree: int
     solver: str
     globalisation: str | None
-    baseline: str | None
+    baselines: tuple[Baseline, ...]
     keys: Mapping[str, Any]
     text: str = ""
 
@@ -281,7 +281,7 @@ def build(data: dict[str, Any], path: Path, overrides: Overrides, source: str) -
     degree = solve.count("degree", 1)
     solver = solve.choice("solver", SOLVERS, "condensed")
     globalisation = solve.choice("globalisation", STRATEGIES, "") or None
-    baseline = solve.choice("baseline", FORMULATIONS, "") or None
+    others = baselines(solve)
     solve.close()
     root.close()
     return Scene(
@@ -304,7 +304,7 @@ def build(data: dict[str, Any], path: Path, overrides: Overrides, source: str) -
         degree=degree,
         solver=solver,
         globalisation=globalisation,
-        baseline=baseline,
+        baselines=others,
         keys={**flat(data), **overrides.keys()},
     )
 

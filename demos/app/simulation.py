@@ -113,7 +113,7 @@ def _told_at(scene: Scene, place: str) -> Iterator[None]:
 
 
 class Simulation:
-    """A scene in one formulation, ready to march.
+    """A scene, ready to march.
 
     Attributes:
         body: The mesh.
@@ -125,13 +125,12 @@ class Simulation:
         pace: Where `march` stands.
     """
 
-    def __init__(self, scene: Scene, body: Body, formulation: str) -> None:
+    def __init__(self, scene: Scene, body: Body) -> None:
         """Build the forms and compile them.
 
         Args:
             scene: What to run.
             body: Its body, from `build_body`.
-            formulation: Name of the formulation: that of the scene, or its baseline.
 
         Raises:
             SceneError: The formulation does not go with the cells, the degree, the material, the
@@ -139,14 +138,14 @@ class Simulation:
         """
         self.body = body
         h = fem.Constant(body.mesh, scene.h)
-        degree = FORMULATIONS[formulation].degree_of_u(scene.degree)
+        degree = FORMULATIONS[scene.formulation].degree_of_u(scene.degree)
         psi, rho, histories, moduli = _material(scene, body, degree, h)
         damping = replace(scene.damping, moduli=moduli)
-        told_formulation = f'[solve] formulation = "{formulation}"'
-        with _told_at(scene, told_formulation):
+        place = f'[solve] formulation = "{scene.formulation}"'
+        with _told_at(scene, place):
             self.model = Model(
                 body,
-                formulation,
+                scene.formulation,
                 psi,
                 rho=rho,
                 loads=[given.load for given in scene.loads],
@@ -159,7 +158,7 @@ class Simulation:
             self.scheme = SCHEMES[scene.scheme](self.model.u, h, **scene.scheme_keys)
         with _told_at(scene, "[start]"):
             scene.start(self.model, self.scheme, body, scene.folder)
-        with _told_at(scene, told_formulation):
+        with _told_at(scene, place):
             energy = self.model.energy(self.scheme)
         self.fields = self.model.fields
         with _told_at(scene, f'[solve] solver = "{scene.solver}"'):
@@ -169,7 +168,7 @@ class Simulation:
                 self.model.bcs,
                 work=self.model.virtual_work(self.scheme),
                 solver=scene.solver,
-                globalisation=scene.globalisation if formulation == scene.formulation else None,
+                globalisation=scene.globalisation,
             )
         self._control = scene.control
         self.pace = Pace()

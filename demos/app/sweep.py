@@ -187,7 +187,7 @@ def compute(
     """Run a case and measure. Collective."""
     ready = build(_changed(as_tables(text, scene), parameters, scene), path, Overrides(), scene)
     body = build_body(ready, comm)
-    simulation = Simulation(ready, body, ready.formulation)
+    simulation = Simulation(ready, body)
     results: list[SolveResult] = []
     run = Finished(simulation, results, simulation.energies())
     _measured(run, measures, scene)  # before what takes long

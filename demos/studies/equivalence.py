@@ -125,7 +125,10 @@ def _on_a_scene(comm: MPI.Comm, parameters: Parameters) -> Record:
         cells = tuple(max(1, round(n * 2.0**refinement)) for n in scene.mesh.cells)
         scene = dataclasses.replace(scene, mesh=dataclasses.replace(scene.mesh, cells=cells))
     body = build_body(scene, comm)
-    runs = [Simulation(scene, body, form) for form in (parameters["formulation"], BASELINE)]
+    runs = [
+        Simulation(dataclasses.replace(scene, formulation=name, globalisation=None), body)
+        for name in (parameters["formulation"], BASELINE)
+    ]
     marches = [run.march(scene.steps) for run in runs]
     size = float(np.max(comm.allreduce(body.mesh.geometry.x.max(initial=0.0), op=MPI.MAX)))
     differences, iterations = [], []

@@ -17,6 +17,8 @@ SIZE = (1600, 900)
 INK = "#22303c"
 COLOURS = "magma_r"
 FONT_FILE = 4  # VTK_FONT_FILE
+CLEAR = 0.75  # of its size, by which a body has moved away
+MOST_LOOKED_AT = 20
 MOVIE_SECONDS = 8.0  # longest, of runs with many states
 
 Array = npt.NDArray[np.float64]
@@ -43,7 +45,8 @@ class Stage:
         Args:
             results: What is shown.
             field: Name of the colour, one of `FIELDS`.
-            only: Number of the one state that will be shown; it alone sets colours and camera.
+            only: Number of the one state that will be shown, with those before from which the body
+                has moved away; they alone set colours and camera.
             window: Whether to show it on the screen.
 
         Raises:
@@ -57,10 +60,9 @@ class Stage:
         self._results, self._name = results, field
         self.states = len(results)
         self._up = np.array(results.about.get("gravity", ()), dtype=np.float64) * -1.0
-        shown = range(self.states) if only is None else [only % self.states]
+        trail = [] if only is None else _on_the_way(results, only % self.states)
         values, extremes = [], []
-        for k in shown:
-            last = results[k]
+        for last in trail or results:
             values.append(results.field_of(last, field))
             extremes.append(_extremes(_padded(last["x"])))
         self._planar = last["X"].shape[1] == 2
@@ -72,7 +74,13 @@ class Stage:
         self.plotter.enable_anti_aliasing("ssaa")
         self._time = self._text("", (0.03, 0.045), 15)
         self._put(last, values[-1])
-        self._add_body(FIELDS[field], min(v.min() for v in values), max(v.max() for v in values))
+        low = float(min(v.min() for v in values))
+        scale = _ticks(low if field == "stretch" else min(low, 0.0), max(v.max() for v in values))
+        self._add_bar(self._add_body(self._body, scale), FIELDS[field], scale[2])
+        for state, colour in zip(trail[:-1], values, strict=False):
+            former = self._body.copy()
+            self._dress(former, state, colour)
+            self._add_body(former, scale)
         self._add_surroundings()
         _aim(self.plotter, self._space, self._up if any(self._up) else np.empty(0), self._planar)
 
@@ -103,25 +111,26 @@ class Stage:
         self.plotter.close()
 
     def _put(self, state: dict[str, Any], values: Array) -> None:
-        self._body.points = _padded(state["x"])
-        if FIELDS[self._name].on == "cells":
-            self._body.cell_data["colour"] = values[self._body.cell_data["cell"]]
-        else:
-            self._body.point_data["colour"] = values
+        self._dress(self._body, state, values)
         caption = self._results.about.get("caption", "")
         self._time.input = f"{caption}   t = {float(state['t']):.3f} s"
+
+    def _dress(self, body: Any, state: dict[str, Any], values: Array) -> None:
+        body.points = _padded(state["x"])
+        if FIELDS[self._name].on == "cells":
+            body.cell_data["colour"] = values[body.cell_data["cell"]]
+        else:
+            body.point_data["colour"] = values
 
     def _text(self, text: str, place: tuple[float, float], size: int) -> Any:
         return self.plotter.add_text(
             text, position=place, viewport=True, font_size=size, color=INK, font_file=self._font
         )
 
-    def _add_body(self, field: Field, low: float, high: float) -> None:
-        if field is not FIELDS["stretch"]:
-            low = min(low, 0.0)
-        start, step, ticks = _ticks(low, high)
-        actor = self.plotter.add_mesh(
-            self._body,
+    def _add_body(self, body: Any, scale: tuple[float, float, int]) -> Any:
+        start, step, ticks = scale
+        return self.plotter.add_mesh(
+            body,
             scalars="colour",
             cmap=COLOURS,
             clim=(start, start + step * ticks),
@@ -134,6 +143,8 @@ class Stage:
             line_width=1.0,
             show_scalar_bar=False,
         )
+
+    def _add_bar(self, actor: Any, field: Field, ticks: int) -> None:
         bar = self.plotter.add_scalar_bar(
             mapper=actor.mapper,
             title="",
@@ -172,6 +183,20 @@ class Stage:
                 line_width=3.0,
                 lighting=False,
             )
+
+
+def _on_the_way(results: Results, last: int) -> list[dict[str, Any]]:
+    """States up to one of them, each clear of the next: a body that flies is seen several times.
+
+    Clear is what has moved as a whole by its own size. Of many states only some are looked at.
+    """
+    shown = [results[last]]
+    for k in np.unique(np.linspace(0, last, min(last, MOST_LOOKED_AT) + 1).astype(int))[-2::-1]:
+        state, after = results[k], shown[0]["x"]
+        moved = np.linalg.norm(state["x"].mean(axis=0) - after.mean(axis=0))
+        if moved > CLEAR * max(np.ptp(x, axis=0).max() for x in (state["x"], after)):
+            shown.insert(0, state)
+    return shown
 
 
 def _plane(pv: Any, space: Array, normal: Sequence[float], offset: float) -> Any:

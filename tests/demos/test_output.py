@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import io
 import os
 import re
@@ -91,8 +92,8 @@ def last_fields(folder: Path) -> tuple[float, float]:
 @pytest.mark.parametrize("formulation", LOCAL)
 def test_final_state_is_in_file_order_and_consistent(formulation, strip):
     """X and cells as in the file; S, Λ and v follow from the positions, by other means."""
-    given = scene(strip)
-    simulation = Simulation(given, build_body(given, COMM), formulation)
+    given = dataclasses.replace(scene(strip), formulation=formulation)
+    simulation = Simulation(given, build_body(given, COMM))
     state = final_state(simulation)
     for _ in simulation.march(given.steps):
         before, state = state, final_state(simulation)
@@ -126,7 +127,7 @@ def test_final_state_does_not_depend_on_the_number_of_ranks(strip):
     given = scene(strip)
     states = []
     for comm in (COMM, MPI.COMM_SELF):
-        simulation = Simulation(given, build_body(given, comm), "symmetric")
+        simulation = Simulation(given, build_body(given, comm))
         list(simulation.march(given.steps))
         states.append(final_state(simulation))
         energies = simulation.energies()
@@ -160,7 +161,7 @@ def elements(cell: str, degree: int) -> Scene:
 def test_final_state_of_other_elements(cell, degree):
     """Positions of vertices are dofs; S is the mean over Gauss's points, found by other means."""
     given = elements(cell, degree)
-    simulation = Simulation(given, build_body(given, COMM), "symmetric")
+    simulation = Simulation(given, build_body(given, COMM))
     list(simulation.march(given.steps))
     state, body, u = final_state(simulation), simulation.body, simulation.fields[0]
     d, V = len(u), u.function_space
@@ -189,7 +190,7 @@ def test_final_state_of_other_elements(cell, degree):
 def test_surfaces_list_vertices_in_the_order_of_vtk(cell, volume, tmp_path):
     """Around the faces of a cell, all of the same sense."""
     given = elements(cell, 1)
-    state = final_state(Simulation(given, build_body(given, COMM), "displacement"))
+    state = final_state(Simulation(given, build_body(given, COMM)))
     if state is None:
         return
     as_mesh(state).write(tmp_path / "body.vtu")
@@ -235,7 +236,7 @@ def test_materials_by_tag_are_those_of_their_cells(tmp_path):
     def final(*materials: str) -> np.ndarray:
         text = STRIP.replace(material, "".join(materials))
         given = parse(text, tmp_path / "strip.toml")
-        simulation = Simulation(given, build_body(given, COMM), "symmetric")
+        simulation = Simulation(given, build_body(given, COMM))
         list(simulation.march(given.steps))
         return COMM.bcast((final_state(simulation) or {}).get("x"))
 
@@ -283,15 +284,16 @@ def test_run_writes_what_it_says(strip, tmp_path, capfd):
     assert (out / "picture.png").exists() or (out / "picture.vtu").exists()
     # the table on the screen
     history = table(out / "history.csv")
-    for k, count in enumerate(history["newton_iterations"], start=1):
-        assert re.search(rf"^ +{k} +{int(count)} +\d", said, flags=re.M)
-    assert f"largest difference of a final coordinate: {difference:.1e} m" in said
+    counts = " +".join(f"{count:.0f}" for count in history["newton_iterations"])
+    total = history["newton_iterations"].sum()
+    assert re.search(rf"^symmetric +{counts} +{total:.0f} ", said, re.M)
+    assert re.search(rf"^displacement .* {difference:.1e}$", said, re.M)
 
 
 def test_energies_balance(strip):
     """Backward Euler loses energy and never gains it; at first all of it is zero."""
     given = scene(strip)
-    simulation = Simulation(given, build_body(given, COMM), "symmetric")
+    simulation = Simulation(given, build_body(given, COMM))
     totals = [sum(simulation.energies())]
     assert totals == [pytest.approx(0.0, abs=1e-12)]
     for _ in simulation.march(8):
@@ -377,6 +379,27 @@ def test_a_failed_step_keeps_those_before_it(strip, tmp_path, capfd, monkeypatch
         assert np.isfinite(final["x"]).all()
         assert np.isfinite(final["Lam"]).all()
     assert (out / "fields" / "fields.pvd").read_text().count("<DataSet") == 3
+
+
+def test_a_baseline_that_fails_is_told_in_the_table(strip, tmp_path, capfd, undrawn):
+    """Full displacement steps diverge where the strip turns far; the run is good."""
+    changes = ("h = 0.05", "h = 1.0"), ("-9.81]", "-50.0]")
+    others = '["displacement full-steps", "symmetric", "seed"]'
+    text = STRIP.replace('"displacement"', others)
+    for old, new in changes:
+        text = text.replace(old, new)
+    if COMM.rank == 0:
+        strip.write_text(text)
+    COMM.barrier()
+    out = tmp_path / "out"
+    assert main(["run", str(strip), "--out", str(out)]) == 0
+    said = COMM.bcast(capfd.readouterr().out)
+    assert re.search(r"^displacement full-steps: step \d of 3 failed, the state at", said, re.M)
+    assert re.search(r"^displacement full-steps +.*fails", said, re.M)
+    assert re.search(r"^seed +\d+ +\d+ +\d+ +\d+ ", said, re.M)
+    assert {path.name for path in out.iterdir() if path.is_dir()} == {
+        "fields", "displacement-full-steps", "seed"
+    }  # fmt: skip
 
 
 # Pictures

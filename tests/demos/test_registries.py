@@ -68,7 +68,7 @@ def tagged_bar(folder: Path) -> None:
 
 def final(scene) -> tuple[Simulation, np.ndarray]:
     """A scene after its last step, and the displacement."""
-    simulation = Simulation(scene, build_body(scene, COMM), scene.formulation)
+    simulation = Simulation(scene, build_body(scene, COMM))
     for _ in simulation.march(scene.steps):
         pass
     return simulation, simulation.fields[0].x.array

@@ -53,7 +53,7 @@ def test_a_scene_means_what_it_says():
     (boundary,) = scene.boundaries
     assert boundary.motion == Fixed(Where(extents=(("x", "min"),)))
     assert (scene.gravity, scene.h, scene.steps) == ((0.0, -9.81), 0.1, 2)
-    assert (scene.formulation, scene.solver, scene.baseline) == ("symmetric", "direct", None)
+    assert (scene.formulation, scene.solver, scene.baselines) == ("symmetric", "direct", ())
 
 
 def test_defaults():
@@ -62,7 +62,7 @@ def test_defaults():
     text = re.sub(r"scheme.*", "", text, flags=re.S)
     scene = parsed(text)
     assert (scene.boundaries, scene.gravity, scene.scheme) == ((), (), "backward-euler")
-    assert (scene.formulation, scene.solver, scene.baseline) == ("symmetric", "condensed", None)
+    assert (scene.formulation, scene.solver, scene.baselines) == ("symmetric", "condensed", ())
 
 
 def test_elements():
@@ -156,6 +156,21 @@ WRONG = [
     ('"symmetric"', '"mixed"', '[solve] formulation = "mixed": unknown; available: symmetric'),
     ('"backward-euler"', '"rk4"', '[time] scheme = "rk4": unknown; available: backward-euler'),
     ('"fixed"', '"free"', '[[boundary]] motion = "free": unknown'),
+    (
+        '"direct"',
+        '"direct"\nbaseline = 3',
+        "[solve] baseline = 3: must be a formulation in quotes, or a list of such; a globalisation",
+    ),
+    (
+        '"direct"',
+        '"direct"\nbaseline = ["displacement", "displacment full-steps"]',
+        "unknown formulation displacment (did you mean displacement?); available: symmetric",
+    ),
+    (
+        '"direct"',
+        '"direct"\nbaseline = "displacement half-steps"',
+        "unknown globalisation half-steps (did you mean full-steps?); available: watchdog",
+    ),
     (
         '"direct"',
         '"direct"\nglobalisation = "watch-dog"',
@@ -261,4 +276,4 @@ def test_hanging_bar_is_the_documented_one():
     (region,) = scene.regions
     assert (region.material.E, region.material.nu) == (1e7, 0.45)
     assert (region.rho, scene.h) == (1000.0, 0.1)
-    assert scene.baseline == "displacement"
+    assert list(map(str, scene.baselines)) == ["displacement"]

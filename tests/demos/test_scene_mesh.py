@@ -41,7 +41,7 @@ def scene(path, mesh=BAR, materials=SOFT, where='{ x = "min" }'):
 
 def final(given) -> dict:
     """Its final state, on all ranks."""
-    simulation = Simulation(given, build_body(given, COMM), "symmetric")
+    simulation = Simulation(given, build_body(given, COMM))
     list(simulation.march(given.steps))
     return COMM.bcast(final_state(simulation))
 

@@ -9,9 +9,11 @@ import pytest
 from scipy.integrate import solve_bvp
 from scipy.special import ellipk
 
+from demos.app.output import final_state
 from demos.app.scene import BUILT_IN, Overrides, built_in, load, parse
 from demos.app.simulation import Simulation, build_body
 from demos.studies import cook
+from solvers import ConvergenceError
 
 COMM = MPI.COMM_WORLD
 pytestmark = pytest.mark.serial
@@ -30,7 +32,7 @@ class Played:
 
     def __init__(self, scene):
         body = build_body(scene, COMM)
-        self.simulation = made = Simulation(scene, body, scene.formulation)
+        self.simulation = made = Simulation(scene, body)
         X = body.gather_points()
         self.x, self.t = [X], [0.0]
         self.reactions, self.energies, self.missing, self.iterations = [], [], [], []
@@ -59,7 +61,7 @@ def play(name, steps=None, *changes):
 
 
 def test_all_scenes_can_be_read():
-    assert len(built_in()) >= 14
+    assert len(built_in()) >= 15
     for name in built_in():
         assert load(COMM, name).description
 
@@ -148,6 +150,23 @@ def test_dropped_bear():
     )
     assert -0.52 < bear.x[:, :, 1].min() < -0.5
     assert bear.missing[-1] > bear.missing[15] > 0.0
+
+
+def test_thrown_bear():
+    """Its centre of mass flies as a point does by the same scheme; full displacement steps fail."""
+    bear = play("thrown-bear")
+    assert max(bear.iterations) <= 6
+    cells = final_state(bear.simulation)["cells"]
+    corners = bear.x[0][cells]
+    volumes = np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1]))
+    centre = np.array([np.average(x[cells].mean(axis=1), axis=0, weights=volumes) for x in bear.x])
+    h, v, g = 0.2, np.array([6.5, 5.0, 0.0]), np.array([0.0, -9.81, 0.0])
+    point = [centre[0], centre[0] + h * (v + h * g)]
+    for n in range(2, 6):
+        point.append((4 * point[-1] - point[-2] + 2 * h * (v + n * h * g)) / 3)
+    np.testing.assert_allclose(centre, point, atol=1e-9)
+    with pytest.raises(ConvergenceError, match="DIVERGED"):
+        play("thrown-bear", 1, ('"symmetric"', '"displacement"\nglobalisation = "full-steps"'))
 
 
 def test_cooks_membrane():

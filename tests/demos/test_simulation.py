@@ -53,7 +53,7 @@ def simulate(
     """A scene after two steps."""
     text = SCENE.format(material=material, formulation=formulation, solver=solver, **shape)
     scene = parse(text, Path("bar.toml"))
-    simulation = Simulation(scene, build_body(scene, COMM), scene.formulation)
+    simulation = Simulation(scene, build_body(scene, COMM))
     for _ in simulation.march(scene.steps):
         pass
     return simulation

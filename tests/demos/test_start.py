@@ -49,7 +49,7 @@ def made(folder=Path(), **changes):
 
 
 def simulation(scene):
-    return Simulation(scene, build_body(scene, COMM), scene.formulation)
+    return Simulation(scene, build_body(scene, COMM))
 
 
 @pytest.mark.parametrize(

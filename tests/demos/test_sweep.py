@@ -81,7 +81,7 @@ def test_measures(bar, tmp_path):
     assert (first["material.E"], second["material.E"]) == (1e5, 2e5)
 
     scene = parse(BAR, Path(bar))
-    simulation = Simulation(scene, build_body(scene, COMM), scene.formulation)
+    simulation = Simulation(scene, build_body(scene, COMM))
     results = list(simulation.march(scene.steps))
     X = simulation.body.gather_points(everywhere=True)
     x = X + simulation.body.gather(simulation.fields[0], everywhere=True)

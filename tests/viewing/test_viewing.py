@@ -14,6 +14,7 @@ from pathlib import Path
 import meshio
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from demos.app.cli import main
 from demos.app.viewer import draw
@@ -132,6 +133,20 @@ def test_run_json_repeats_the_run(folder, tmp_path):
     out = tmp_path / "out"
     assert main(["run", str(tmp_path / "again.toml"), "--out", str(out), "--quiet"]) == 0
     np.testing.assert_array_equal(load(out)[-1]["x"], load(folder)[-1]["x"])
+
+
+def test_a_body_that_flies_is_seen_on_its_way(folder, tmp_path):
+    """At each step where it has moved by more than its size, else only at the last."""
+    rendering(folder)
+    held, floor = SCENE.index("[[boundary]]"), SCENE.index("[time]")
+    for speed, bodies in ((80.0, 5), (0.0, 1)):
+        start = f"[start]\nvelocity = [{speed}, 0.0, 5.0]\n"
+        scene, out = tmp_path / "thrown.toml", tmp_path / f"{bodies}"
+        scene.write_text(SCENE[:held] + start + SCENE[floor:])
+        assert main(["run", str(scene), "--out", str(out), "--quiet"]) == 0
+        ink = (pixels(out / "picture.png") < 0.9).any(axis=2)[: 900 * 4 // 5, : 1600 * 17 // 20]
+        _, sizes = np.unique(ndimage.label(ink)[0], return_counts=True)
+        assert (sizes > 500).sum() == 1 + bodies
 
 
 def test_picture(folder, tmp_path):
