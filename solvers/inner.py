@@ -27,7 +27,7 @@ from solvers.options import (
 _FACTORISATIONS = ("lu", "cholesky", "svd", "redundant", "telescope", "python")
 
 _NEGATIVE = PETSc.KSP.ConvergedReason.DIVERGED_INDEFINITE_MAT
-_INDEFINITE = (_NEGATIVE, PETSc.KSP.ConvergedReason.DIVERGED_INDEFINITE_PC)
+_INDEFINITE_PC = PETSc.KSP.ConvergedReason.DIVERGED_INDEFINITE_PC
 
 
 class Outcome(Enum):
@@ -183,6 +183,13 @@ class InnerSolver:
         long = self.ksp.getConvergedReason() == PETSc.KSP.ConvergedReason.DIVERGED_MAX_IT
         if keep and outcome is not Outcome.SOLVED and not (long and small):
             outcome = self._iterated(keep=False)
+        if small and self.ksp.getConvergedReason() == _INDEFINITE_PC:
+            # Whether that comes from K, factors can tell.
+            outcome = self._factorised()
+            negative = self._counted and self._negative > 0
+            what = "negative curvature" if negative else "indefinite preconditioner"
+            self._note(f"{what}: {self._factorisation}")
+            return Outcome.NEGATIVE if negative else outcome
         if outcome is Outcome.SOLVED:
             self._patience = PATIENCE
         if outcome is not Outcome.FAILED or not small:
@@ -217,7 +224,7 @@ class InnerSolver:
         if solved:
             return Outcome.SOLVED
         self._failed(f"{ksp.getType()}: {LINEAR_REASONS[ksp.getConvergedReason()]}")
-        indefinite = ksp.getConvergedReason() in _INDEFINITE
+        indefinite = ksp.getConvergedReason() in (_NEGATIVE, _INDEFINITE_PC)
         return Outcome.NEGATIVE if indefinite else Outcome.FAILED
 
     def _factorised(self) -> Outcome:
@@ -257,7 +264,7 @@ class InnerSolver:
     def _instability(self) -> str:
         """What the last attempt has shown of K, the second derivative of an energy."""
         if not self._counted:
-            negative = self.ksp.getConvergedReason() in _INDEFINITE
+            negative = self.ksp.getConvergedReason() == _NEGATIVE
             return "negative curvature" if negative else ""
         count = self._negative
         return f"{count} negative eigenvalue{'s' if count > 1 else ''}" if count else ""
