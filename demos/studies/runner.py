@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import csv
 import hashlib
+import io
 import json
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from mpi4py import MPI
 
-from demos.app.files import make_folder
+from demos.app.files import PROGRAM, OutputError, make_folder, on_rank_0
 from demos.app.progress import Screen, duration
 from demos.studies.records import Record, of_case, plain
 from demos.studies.sources import sources
 from demos.studies.study import Parameters, Study
 from solvers.files import write_whole
+
+_SUFFIXES = (".json", ".csv", ".pdf", ".png")
 
 
 @dataclass(frozen=True)
@@ -62,12 +65,13 @@ def run(
             but their parameters, the number of ranks and the sources.
 
     Raises:
-        OutputError: The folder cannot be written to.
+        OutputError: The folder cannot be written to, or has other people's files.
         Interrupted: By Ctrl-C.
     """
     cases = list(study.grid(quick))
     cache = _Cache(study, comm, out / "cases")
     make_folder(comm, cache.folder)
+    on_rank_0(comm, out, lambda: _claim(study, out))
     where = f" and kept in {cache.folder}; the same command goes on from there" if kept else ""
     records: list[Record] = []
     cached = 0
@@ -93,7 +97,7 @@ def run(
     shortfalls: list[str] = []
     if comm.rank == 0:
         shortfalls = study.verdict(records)
-        _write(study, records, out, screen, comm.size)
+    on_rank_0(comm, out, lambda: _write(study, records, out, screen, comm.size))
     return Outcome(records, cached, comm.bcast(shortfalls))
 
 
@@ -114,31 +118,54 @@ class _Cache:
         return self.folder / f"{digest.hexdigest()[:16]}.json"
 
     def get(self, parameters: Parameters) -> list[Record] | None:
-        text = None
+        found = None
         if self._comm.rank == 0:
             try:
-                text = self._file(parameters).read_text("utf-8")
-            except OSError:
-                text = None
-        text = self._comm.bcast(text)
-        return None if text is None else json.loads(text)
+                found = json.loads(self._file(parameters).read_text("utf-8"))
+            except (OSError, ValueError):  # there is none, or none that can be read
+                found = None
+        return self._comm.bcast(found)
 
     def put(self, parameters: Parameters, found: list[Record]) -> None:
-        if self._comm.rank == 0:
-            text = json.dumps(found)
-            write_whole(self._file(parameters), lambda place: place.write_text(text, "utf-8"))
+        file, text = self._file(parameters), json.dumps(found)
+
+        def write() -> None:
+            write_whole(file, lambda path: path.write_text(text, "utf-8"))
+
+        on_rank_0(self._comm, file, write)
+
+
+def _claim(study: Study, out: Path) -> None:
+    """Insist that files which will be overwritten are of the study.
+
+    Raises:
+        OutputError: There is a file that this program has not written.
+    """
+    there = [name for s in _SUFFIXES if (out / (name := f"{study.name}{s}")).exists()]
+    try:
+        ours = json.loads((out / f"{study.name}.json").read_text("utf-8"))["study"] == study.name
+    except (OSError, ValueError, KeyError, TypeError):
+        ours = False
+    if there and not ours:
+        raise OutputError(
+            f"--out {out}: {there[0]} there is not of a study of {PROGRAM}, and would be "
+            "overwritten; choose another folder"
+        )
 
 
 def _write(study: Study, records: Sequence[Record], out: Path, screen: Screen, ranks: int) -> None:
-    stem = out / study.name
-    document = {"study": study.name, "ranks": ranks, "records": records}
-    stem.with_suffix(".json").write_text(json.dumps(document, indent=1), "utf-8")
+    def write(suffix: str, fill: Callable[[Path], object]) -> None:
+        write_whole(out / f"{study.name}{suffix}", fill)
+
+    document = json.dumps({"study": study.name, "ranks": ranks, "records": records}, indent=1)
+    write(".json", lambda path: path.write_text(document, "utf-8"))
     rows = plain(records)
     columns = list(dict.fromkeys(key for row in rows for key in row))
-    with stem.with_suffix(".csv").open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, columns)
-        writer.writeheader()
-        writer.writerows(rows)
+    table = io.StringIO(newline="")
+    writer = csv.DictWriter(table, columns)
+    writer.writeheader()
+    writer.writerows(rows)
+    write(".csv", lambda path: path.write_text(table.getvalue(), "utf-8", newline=""))
     if study.draw is not None:
         try:
             from matplotlib.figure import Figure  # optional
@@ -147,8 +174,8 @@ def _write(study: Study, records: Sequence[Record], out: Path, screen: Screen, r
             return
         figure = Figure(layout="constrained")
         study.draw(records, figure)
-        for suffix in (".pdf", ".png"):
-            figure.savefig(stem.with_suffix(suffix), dpi=200)
+        write(".pdf", lambda path: figure.savefig(path))
+        write(".png", lambda path: figure.savefig(path, dpi=200))
 
 
 def _told(parameters: Parameters) -> str:

@@ -17,6 +17,7 @@ import pytest
 from demos import studies
 from demos.app import petsc_options
 from demos.app.cli import main
+from demos.app.files import OutputError
 from demos.app.progress import Screen
 from demos.studies import (
     STUDIES,
@@ -99,6 +100,32 @@ def test_files_and_shortfalls(tmp_path):
     assert rows == [{"n": str(n), "square": str(n**2)} for n in range(4)]
     assert (tmp_path / "squares.png").stat().st_size > 1000
     assert (tmp_path / "squares.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_somebody_elses_files_stay(tmp_path):
+    """Refused before anything is computed; those of the study itself are written anew."""
+    go(Squares(), tmp_path / "own", quick=True)
+    go(Squares(), tmp_path / "own")
+    other = tmp_path / "other"
+    other.mkdir(exist_ok=True)
+    for name, text in (("squares.csv", "mine"), ("squares.json", '{"study": "mine"}')):
+        (other / name).write_text(text)
+        squares = Squares()
+        with pytest.raises(OutputError, match=r"squares\.(csv|json) there is not of a study of "):
+            go(squares, other)
+        assert squares.computed == []
+        assert (other / name).read_text() == text
+
+
+def test_a_torn_case_is_computed_again(tmp_path):
+    go(Squares(), tmp_path, quick=True)
+    if COMM.rank == 0:
+        for file in (tmp_path / "cases").iterdir():
+            file.write_text(file.read_text()[:5])
+    COMM.barrier()
+    again = Squares()
+    assert go(again, tmp_path, quick=True).cached == 0
+    assert again.computed == [0, 1]
 
 
 def test_command_line(tmp_path, monkeypatch, capfd):
