@@ -148,6 +148,27 @@ def intermediate(expression: Expr) -> Expr:
     return Variable(expression, Intermediate())
 
 
+class Linearised(Label):
+    """Marks the linearisation of an expression about the present state."""
+
+    def __init__(self, exact: Expr) -> None:
+        super().__init__()
+        self.exact = exact
+
+
+def linearisation(tangent: Expr, exact: Expr) -> Variable:
+    """Return an affine expression, marked as the linearisation of another one at present.
+
+    UFL differentiates the tangent. Who knows the derivatives of the other may take the first of
+    them, and zero for the second.
+
+    Args:
+        tangent: Has the value and the first derivative of `exact`, and a second one of zero.
+        exact: Of the same shape.
+    """
+    return Variable(tangent, Linearised(exact))
+
+
 class _Frozen(CellData):
     def __init__(self, argument: Expr) -> None:
         super().__init__(argument, argument.ufl_shape, "frozen")

@@ -38,7 +38,7 @@ import numpy.typing as npt
 import ufl
 from ufl.core.expr import Expr
 
-from forms.cell_data import CellData, frozen, intermediate, marked
+from forms.cell_data import CellData, frozen, intermediate, linearisation, marked
 
 _LOWER = np.tril_indices(3)
 
@@ -150,13 +150,13 @@ def linearised_stretch(F: Expr) -> Expr:
         F: Deformation gradient, shape (d, d).
     """
     R, S = frozen(polar_rotation(F)), right_stretch(F)
-    A = intermediate(R.T * F)
+    A = R.T * F
     if F.ufl_shape == (2, 2):
         omega = (A[1, 0] - A[0, 1]) / frozen(ufl.tr(S))
         turn = ufl.as_matrix([[0, -omega], [omega, 0]])
     else:
         turn = _cross(frozen(ufl.inv(ufl.tr(S) * ufl.Identity(3) - S)) * _axial(A))
-    return intermediate(ufl.sym(A - turn * frozen(S)))
+    return linearisation(ufl.sym(A - turn * frozen(S)), S)
 
 
 def quaternion_rotation(q: Expr) -> Expr:

@@ -43,7 +43,13 @@ hypothesis.settings.register_profile(
     hypothesis.settings.get_profile("mixed-fem"),
     phases=(hypothesis.Phase.explicit, hypothesis.Phase.generate),
 )
-hypothesis.settings.load_profile("mixed-fem" if comm.size == 1 else "mixed-fem-mpi")
+# On one rank, to look for hours: HYPOTHESIS_PROFILE=long, as often as EXAMPLES says.
+hypothesis.settings.register_profile(
+    "long", deadline=None, max_examples=int(os.environ.get("EXAMPLES", "10000"))
+)
+hypothesis.settings.load_profile(
+    os.environ.get("HYPOTHESIS_PROFILE", "mixed-fem") if comm.size == 1 else "mixed-fem-mpi"
+)
 
 
 def pytest_collection_finish() -> None:

@@ -31,7 +31,7 @@ from ufl.classes import (
 )
 from ufl.core.expr import Expr
 
-from forms import CellData, CellFunction, Intermediate
+from forms import CellData, CellFunction, Intermediate, Linearised
 
 Ints = npt.NDArray[np.int32]
 
@@ -89,6 +89,7 @@ class PointFunction(Slot):
         source: The `CellData` that stand for it, None for a part of the density.
         argument: What it is a function of, or this part, in slots.
         unit: The slot whose change is that of the argument, if there is one.
+        linear: Whether its second derivative counts as zero.
         code: Its C source, None where it is the argument itself.
         stem: What the names of its C functions begin with.
         frozen: Whether its derivative counts as zero.
@@ -99,6 +100,7 @@ class PointFunction(Slot):
 
     argument: Expr = field(kw_only=True)
     unit: Slot | None = field(kw_only=True)
+    linear: bool = field(kw_only=True, default=False)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -136,6 +138,11 @@ def _is_symmetric(e: Any) -> bool:
     return isinstance(e, Sym)
 
 
+def _plain(e: Expr) -> Expr:
+    """An expression without a mark of its own."""
+    return e.ufl_operands[0] if isinstance(e, Variable) else e
+
+
 class Slots:
     """Puts coefficients of slots in the place of what is known at a point.
 
@@ -163,13 +170,12 @@ class Slots:
             operand, label = e.ufl_operands
             if isinstance(label, CellFunction) and self._moves(label.data):
                 return self._function(label.data)
-            if isinstance(label, Intermediate) and not self._fields.isdisjoint(
+            if isinstance(label, Intermediate | Linearised) and not self._fields.isdisjoint(
                 coefficients(operand)
             ):
-                argument = self.of(operand)
-                symmetric = _is_symmetric(operand)
-                part = PointFunction(None, e.ufl_shape, symmetric, argument=argument, unit=None)
-                return self.found.setdefault((argument, False), part).coefficient
+                if isinstance(label, Linearised):
+                    return self._part(_plain(label.exact), linear=True)
+                return self._part(operand, linear=False)
             return self.of(operand)
         if isinstance(e, Grad) and isinstance(e.ufl_operands[0], fem.Function):
             return self._value(e.ufl_operands[0], gradient=True)
@@ -190,6 +196,13 @@ class Slots:
         if e._ufl_is_terminal_:
             return e
         return e._ufl_expr_reconstruct_(*map(self.of, e.ufl_operands))
+
+    def _part(self, e: Expr, *, linear: bool) -> Expr:
+        argument, symmetric = self.of(e), _is_symmetric(e)
+        part = PointFunction(
+            None, e.ufl_shape, symmetric, argument=argument, unit=None, linear=linear
+        )
+        return self.found.setdefault((argument, linear), part).coefficient
 
     def _moves(self, data: CellData) -> bool:
         """Whether data depend on the fields."""

@@ -130,7 +130,7 @@ class Source:
             components = f.components(f.argument)
             test = ufl.TestFunction(_vector(f.size).ufl_function_space())
             forms[f"ARGUMENT_{k}"] = sum(a * test[i] for i, a in enumerate(components)) * dx
-            if f in vectors:
+            if f in vectors and not f.linear:
                 whole += sum(vectors[f][i] * a for i, a in enumerate(components))
         forms = {name: ufl.replace(form, renamed) for name, form in forms.items()}
         for k, f in enumerate(density.functions):
@@ -190,6 +190,8 @@ class Source:
     def _functions(self, coupled: Pattern, moved: dict[str, set[int]]) -> list[str]:
         """Tables and loops for functions; adds to `coupled` what they couple."""
         tables, values, pulls, chains = [], [], [], []
+        # What comes through a linear function has a vector of its own, and no second derivative.
+        linear = any(f.linear for f in self._density.functions)
         kept, multiplier = 2 * self.sizes["NR"], self.sizes["NY"] + self.sizes["DATA"]
         for k, f in enumerate(self._density.functions):
             n, r, rank, first = f.size, self._place[f], f.rank, self._first(f)
@@ -216,9 +218,17 @@ class Source:
                 parameters = _braces(f.parameters)
                 tables.append(f"static const double parameters_{k}[] = {parameters};")
             m = "own" if f.unit else f"y + {multiplier}"
-            pulls.append(
-                f"{{ {start}double own[{n}]; pull_back(g, {where}, {derivatives}, {m}); }}"
-            )
+            pull = f"{where}, {derivatives}"
+            if f.linear:
+                pull = (
+                    f"for (int i = 0; i < {n}; i++) {{ once[{r}+i] += g[{r}+i]; ({m})[i] = 0; }}"
+                    f" pull_back(once, {pull}, own);"
+                )
+            elif linear:
+                pull = f"pull_back(once, {pull}, own); pull_back(g, {pull}, {m});"
+            else:
+                pull = f"pull_back(g, {pull}, {m});"
+            pulls.append(f"{{ {start}double own[{n}]; {pull} }}")
             chains.append(
                 f"{{ {start}{end}chain(H, rows_{k}, {where}, {derivatives}, {second}); }}"
             )
@@ -242,7 +252,9 @@ class Source:
             *values,
             "}",
             pattern.format("pull_back_functions", "g"),
+            *(["double once[NY] = {0};"] if linear else []),
             *reversed(pulls),
+            *(["for (int i = 0; i < NZ; i++) g[i] += once[i];"] if linear else []),
             "}",
             pattern.format("chain_functions", "H"),
             *reversed(chains),

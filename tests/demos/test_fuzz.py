@@ -1,12 +1,11 @@
 """Scenes and command lines of all kinds: taken, or refused in one line; never a traceback.
 
-`HYPOTHESIS_PROFILE=long` looks for ten minutes.
+`HYPOTHESIS_PROFILE=long` looks longer, see `tests/conftest.py`.
 """
 
 from __future__ import annotations
 
 import copy
-import os
 import tomllib
 from pathlib import Path
 
@@ -15,7 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from demos import studies
-from demos.app import cli, mesh_report
+from demos.app import cli, mesh_report, viewer
 from demos.app.scene import BUILT_IN, Overrides, build, parse
 from demos.app.tables import SceneError
 from demos.by_hand import compare
@@ -25,12 +24,7 @@ pytestmark = pytest.mark.serial
 TEXTS = {path.name: path.read_text("utf-8") for path in sorted(BUILT_IN.glob("*.toml"))}
 SCENES = {name: tomllib.loads(text) for name, text in TEXTS.items()}
 
-settings.register_profile("long", max_examples=10_000)
-QUICK = settings(
-    settings.get_profile(os.environ.get("HYPOTHESIS_PROFILE", "default")),
-    deadline=None,
-    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
-)
+calm = settings(suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 
 leaves = st.one_of(
     st.none().map(lambda _: ""),
@@ -79,7 +73,7 @@ def refused_in_one_line(read):
         assert str(error) and "\n" not in str(error)
 
 
-@QUICK
+@calm
 @given(data=st.data())
 def test_scenes_with_other_values(data):
     """A key taken away, given another value, or a key that nobody knows."""
@@ -95,7 +89,7 @@ def test_scenes_with_other_values(data):
     refused_in_one_line(lambda: build(tables, Path(name), Overrides(), name))
 
 
-@QUICK
+@calm
 @given(data=st.data())
 def test_damaged_scene_files(data):
     """Pieces left out, doubled, or other letters in their place."""
@@ -120,8 +114,10 @@ def test_deep_nesting(depth):
 
 
 WORDS = [
-    *("run", "study", "sweep", "compare", "mesh", "list", "hanging-bar", "newton", "nothing.toml"),
+    *("run", "study", "sweep", "compare", "mesh", "list", "view", "plot"),
+    *("hanging-bar", "newton", "nothing.toml"),
     *("--out", "--steps", "--resume", "--checkpoint", "--formulation", "--material", "--solver"),
+    *("--picture", "--movie", "--field", "--step", "--web", "speed"),
     *("--vary", "--measure", "--json", "--quick", "--fresh", "--equation", "--scale", "--help"),
     *(
         "-1",
@@ -138,12 +134,13 @@ WORDS = [
 ]
 
 
-@QUICK
+@calm
 @given(arguments=st.lists(st.sampled_from(WORDS) | st.text(max_size=6), max_size=7))
 def test_command_lines(arguments, tmp_path, monkeypatch, capfd):
     """Exit codes 0, 1 or 2; of the last with one line. What they would start is left out."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(cli, "run", lambda *_: [])
+    monkeypatch.setattr(cli, "run", lambda *_: "")
+    monkeypatch.setattr(viewer, "view", lambda *_: (0, ""))
     monkeypatch.setattr(compare, "run", lambda *_: 0)
     monkeypatch.setattr(mesh_report, "run", lambda *_: 0)
     outcome = studies.Outcome([], 0, [])

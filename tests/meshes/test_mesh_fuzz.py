@@ -70,7 +70,7 @@ def test_damaged_files(name, tmp_path, caplog):
     if name == "a.ele":
         path.with_suffix(".node").write_text("5 3 0 1\n" + test_mesh_writers.rows(NUMBERED, 1))
 
-    @settings(max_examples=100, suppress_health_check=list(HealthCheck))
+    @settings(suppress_health_check=list(HealthCheck))
     @given(st.sampled_from(SAMPLES[name]), EDITS)
     def read_or_refuse(text, edits):
         path.write_text(damaged(text, edits), encoding="latin-1", errors="replace")

@@ -185,9 +185,7 @@ def test_no_number_is_refused(bar, tmp_path):
 
 
 @pytest.mark.serial
-@settings(
-    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_damaged_files_are_refused_in_one_line(bar, tmp_path, data):
     """Cut short, or with bytes changed: read as it was, or refused."""
