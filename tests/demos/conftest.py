@@ -1,4 +1,4 @@
-"""Studies run as a user runs them."""
+"""Studies and runs as a user has them."""
 
 from __future__ import annotations
 
@@ -6,11 +6,17 @@ import importlib.util
 import json
 from collections.abc import Callable
 from functools import cache
+from pathlib import Path
 
+from mpi4py import MPI
+
+import meshio
 import pytest
 
+from demos.app import viewer
 from demos.app.cli import main
 from demos.studies import Record
+from tests.demos.strip import POINTS, STRIP, TRIANGLES
 
 
 @pytest.fixture(scope="session")
@@ -32,3 +38,21 @@ def quick(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., list[Record
         return document["records"]
 
     return records
+
+
+@pytest.fixture
+def strip(tmp_path: Path) -> Path:
+    """The scene file of the strip, next to its mesh."""
+    path = tmp_path / "strip.toml"
+    if MPI.COMM_WORLD.rank == 0:
+        mesh = meshio.Mesh(POINTS, [("triangle", TRIANGLES)])
+        mesh.write(tmp_path / "strip.mesh")
+        path.write_text(STRIP)
+    MPI.COMM_WORLD.barrier()
+    return path
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Spare the seconds that a picture takes."""
+    monkeypatch.setattr(viewer, "draw", lambda *_args, **_kwargs: "not needed by this test")
