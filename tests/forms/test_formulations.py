@@ -23,9 +23,11 @@ from forms import (
     Hencky,
     StableNeoHookean,
     deformation_gradient,
+    mixed_fields,
     quaternion_rotation,
     right_stretch,
 )
+from forms.formulations.base import rest_shear_modulus
 from solvers import SOLVERS, MixedProblem
 from tests.bodies import FORGOTTEN, INEXACT, LOCAL, NU, RHO, SOME, Body, E, H, largest
 from tests.states import (
@@ -53,6 +55,16 @@ def bodies():
 
 def materials_with(formulation):
     return tuple(MATERIALS) if formulation in ("symmetric", "displacement") else SOME
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_rest_shear_modulus(d):
+    """That of every material is Lamé's μ."""
+    _, S, _ = mixed_fields(small_mesh(d))
+    for name, material in MATERIALS.items():
+        modulus = rest_shear_modulus(material(E=2.6, nu=0.3), S)
+        modulus.refresh()
+        np.testing.assert_allclose(modulus.x.array, 1.0, rtol=1e-12, err_msg=name)
 
 
 PAIRS = [(formulation, psi) for formulation in LOCAL for psi in materials_with(formulation)]

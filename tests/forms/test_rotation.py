@@ -27,6 +27,7 @@ from forms import (
 from forms.rotation import GAP, polar_factors
 from tests.states import small_mesh
 
+STEP = 2e-3  # of finite differences
 entries = st.floats(-2.0, 2.0, allow_subnormal=False)
 
 
@@ -52,15 +53,25 @@ class OneCell:
         self.data = [c for c in ufl.algorithms.extract_coefficients(expression) if c is not self.u]
         self.R = fem.Expression(expression, points)
         self.S = fem.Expression(right_stretch(F), points)
+        self.along = fem.Function(self.u.function_space)
+        first = [ufl.derivative(e, self.u, self.along) for e in (expression, right_stretch(F))]
+        second = [ufl.derivative(e, self.u, self.along) for e in first]
+        self.derivatives = [fem.Expression(e, points) for e in (*first, *second)]
 
     def evaluate(self, F):
         """R and S; empty arrays on a rank without the cell."""
+        return self._evaluated(F, self.R, self.S)
+
+    def differentiate(self, F, D):
+        """∂R[D], ∂S[D], ∂²R[D, D] and ∂²S[D, D]."""
+        self.along.interpolate(lambda X: D @ X[: self.d])
+        return self._evaluated(F, *self.derivatives)
+
+    def _evaluated(self, F, *expressions):
         self.u.interpolate(lambda X: (F - np.eye(self.d)) @ X[: self.d])
         for data in self.data:
             data.refresh()
-        return tuple(
-            e.eval(self.mesh, self.cells).reshape(-1, self.d, self.d) for e in (self.R, self.S)
-        )
+        return tuple(e.eval(self.mesh, self.cells).reshape(-1, self.d, self.d) for e in expressions)
 
 
 @pytest.fixture(scope="module", params=[2, 3])
@@ -109,6 +120,35 @@ def test_large_stretch(one_cell, data, stretch):
     for R_ufl, S_ufl in zip(*one_cell.evaluate(F), strict=True):
         np.testing.assert_allclose(R_ufl, R, rtol=0, atol=1e-12)
         np.testing.assert_allclose(S_ufl, S, rtol=0, atol=1e-12 * stretch)
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_derivatives(one_cell, mirrored):
+    """Against differences of order 6 of NumPy's factors, det F < 0 included."""
+    d, rng = one_cell.d, np.random.default_rng(3)
+    U, V = (svd_polar(rng.normal(size=(d, d)))[0] for _ in range(2))
+    sigma = np.array([1.7, 1.1, 0.4][3 - d :])
+    F = U @ np.diag(sigma * [*np.ones(d - 1), -1.0 if mirrored else 1.0]) @ V.T
+    D = rng.normal(size=(d, d))
+    near = np.array([svd_polar(F + k * STEP * D)[:2] for k in range(-3, 4)])
+    first = np.tensordot([-1 / 60, 3 / 20, -3 / 4, 0, 3 / 4, -3 / 20, 1 / 60], near, 1) / STEP
+    weights = [1 / 90, -3 / 20, 3 / 2, -49 / 18, 3 / 2, -3 / 20, 1 / 90]
+    second = np.tensordot(weights, near, 1) / STEP**2
+    for found, expected in zip(one_cell.differentiate(F, D), (*first, *second), strict=True):
+        for value in found:  # none on a rank without the cell
+            np.testing.assert_allclose(value, expected, rtol=0, atol=1e-7)
+
+
+def test_factors():
+    """F = R S with S symmetric and R a rotation, and G as it says, det F < 0 included."""
+    F = np.random.default_rng(4).normal(size=(20, 3, 3))
+    assert 5 < (np.linalg.det(F) < 0.0).sum() < 15
+    R, S, G = polar_factors(F)
+    np.testing.assert_allclose(R @ S, F, atol=1e-13)
+    np.testing.assert_allclose(np.linalg.det(R), 1.0, atol=1e-13)
+    np.testing.assert_allclose(S, np.swapaxes(S, 1, 2), atol=1e-13)
+    trace = np.trace(S, axis1=1, axis2=2)[:, None, None]
+    np.testing.assert_allclose(G @ (2 * (trace * np.eye(3) - S)), F * 0.0 + np.eye(3), atol=1e-11)
 
 
 @given(data=st.data())
