@@ -75,6 +75,31 @@ candidates() {
   fi
 }
 
+# Debian's names of the libraries that pictures and the shapes of gmsh need and this machine lacks.
+missing_libraries() {
+  local known pair missing=()
+  known=$({ ldconfig -p || /sbin/ldconfig -p; } 2>/dev/null) || return 0
+  for pair in libEGL.so.1=libegl1 libGL.so.1=libgl1 libXrender.so.1=libxrender1 \
+    libGLU.so.1=libglu1-mesa libXcursor.so.1=libxcursor1 libXft.so.2=libxft2 \
+    libXinerama.so.1=libxinerama1; do
+    case $known in *"${pair%=*}"*) ;; *) missing+=("${pair#*=}") ;; esac
+  done
+  printf '%s' "${missing[*]}"
+}
+
+# What gives an interpreter, and all else that is missing, as a line to paste.
+how_to_install() {
+  local words=()
+  command -v make >/dev/null || words+=(make)
+  command -v "${CC:-gcc}" >/dev/null || words+=(gcc libc6-dev)
+  words+=("$(missing_libraries)")
+  if apt-cache show python3.13 python3.12 2>/dev/null | grep -q '^Package: python3'; then
+    echo "Debian: apt install python3 python3-venv python3-dev ${words[*]}"
+  else # Debian 12 has none; uv brings one
+    echo "Debian: apt install pipx ${words[*]} && pipx install uv && PATH=\$PATH:~/.local/bin make setup"
+  fi
+}
+
 # Set `route` and `python`.
 find_interpreter() {
   local candidate answer
@@ -94,23 +119,11 @@ find_interpreter() {
   done < <(candidates | awk '!seen[$0]++')
   if [ -n "$python" ]; then return; fi
   command -v uv >/dev/null ||
-    die "no CPython 3.12 or later that runs; install one (Debian 13 or Ubuntu 24.04: python3, else pyenv or uv) or name it, PYTHON=/path/to/python"
+    die "no CPython 3.12 or later that runs; name one, PYTHON=/path/to/python, or install it ($(how_to_install))"
   say "no CPython 3.12 or later here: uv installs 3.13 into .python" >&2
   export UV_PYTHON_INSTALL_DIR=$root/.python UV_CACHE_DIR=$root/.cache/uv
   uv python install --no-bin 3.13 >&2 || die "uv could not install Python 3.13"
   route=wheel python=$(uv python find --no-project --system 3.13)
-}
-
-# Debian's names of the libraries that pictures and the shapes of gmsh need and this machine lacks.
-missing_libraries() {
-  local known pair missing=()
-  known=$({ ldconfig -p || /sbin/ldconfig -p; } 2>/dev/null) || return 0
-  for pair in libEGL.so.1=libegl1 libGL.so.1=libgl1 libXrender.so.1=libxrender1 \
-    libGLU.so.1=libglu1-mesa libXcursor.so.1=libxcursor1 libXft.so.2=libxft2 \
-    libXinerama.so.1=libxinerama1; do
-    case $known in *"${pair%=*}"*) ;; *) missing+=("${pair#*=}") ;; esac
-  done
-  printf '%s' "${missing[*]}"
 }
 
 say_missing() {
