@@ -123,7 +123,7 @@ class _SpectralData(CellData):
         self._orders = [list(combinations_with_replacement(range(d), n)) for n in (1, 2, 3)]
         super().__init__(A, (d * d + d + sum(map(len, self._orders)),), "spectral")
         self.parameters = float(f.code), f.exponent
-        self.rank, self.kept = d * (d + 1) // 2, 2 * d**2 + d**3
+        self.rank, self.kept = d * (d + 1) // 2, 2 * d**2 + d**3 + d
         self.function = marked(self._expansion(), self)
 
     def compute(self, values: Floats) -> Floats:

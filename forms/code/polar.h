@@ -69,7 +69,7 @@ static void polar_by_singular_values(const double *F, double *R, double *T) {
    J = det F; then R = (f^2 F + 2 f cof F - 2 F C + I1 F)/(f^3 - I1 f - 2 J). The denominator is
    2 (s0 + s1)(s1 + s2)(s2 + s0) of the singular values. Rounding errors grow with the square of f^3 by it;
    where they would exceed some 1e-13, by singular values. */
-static void polar_value(const double *parameters, const double *F, double *R, double *T) {
+static void polar_value(const double *parameters, const double *F, double *R, double *T, const double *like) {
   double K[9], C[9], S[6], I1 = 0, t2 = 0;
   cofactor(F, K);
   double J = F[0]*K[0] + F[1]*K[1] + F[2]*K[2];

@@ -1,7 +1,7 @@
 /* Functions of symmetric tensors, r = f(A), by eigenvalues; see forms/spectral.py.
 
    Of a tensor the lower triangle counts, row by row. parameters: number of the function, exponent.
-   Kept: eigenvectors V (by columns), f[a, b] of pairs of eigenvalues, f[a, b, c] of triples. With
+   Kept: eigenvectors V (by columns), f[a, b] of pairs of eigenvalues, f[a, b, c] of triples, eigenvalues. With
    D = V^T dA V, (V^T dr V)_ij = f[i, j] D_ij + sum_k f[i, k, j] D_ik D_kj + ... (Daletskii and Krein). */
 #define SPECTRAL_N (DIM*(DIM + 1)/2)
 
@@ -33,50 +33,66 @@ static inline double function_of(const double *parameters, double x) {
     default: return pow(x, parameters[1]); }
 }
 
-/* f[at[0], ..., at[n-1]] for n = 2 or 3, by a power series around the middle where they are close:
-   sum over k of t_k h_{k-n+1}(at - middle), t_k = f^(k)/k! there, h the complete homogeneous polynomials. */
-static double divided_difference(const double *parameters, const double *at, const double *values, int n) {
-  double low = at[0], high = at[0];
+/* f' at x, of which f is known. */
+static inline double slope_of(const double *parameters, double x, double f) {
+  switch ((int)parameters[0]) {
+    case LOGARITHM: return 1/x;
+    case EXPONENTIAL: return f;
+    default: return parameters[1]*f/x; }
+}
+
+typedef struct { double x[DIM], f[DIM], slope[DIM][DIM]; } Spectrum; /* slope: f' in the middle of two */
+
+static inline int are_close(const double *parameters, double low, double high) {
+  return high - low <= 0.25*((int)parameters[0] == EXPONENTIAL ? 1 : fabs(0.5*(low + high)));
+}
+
+/* f[x[at[0]], ..., x[at[n-1]]] for n = 2 or 3, by a power series around the middle where they are close:
+   sum over k of t_k h_{k-n+1}(x - middle), t_k = f^(k)/k! there, h the complete homogeneous polynomials. */
+static double divided_difference(const double *parameters, const Spectrum *s, const int *at, int n) {
   int a = 0, c = 0;
   for (int i = 1; i < n; i++) {
-    if (at[i] < low) { low = at[i]; a = i; }
-    if (at[i] > high) { high = at[i]; c = i; } }
+    if (s->x[at[i]] < s->x[at[a]]) a = i;
+    if (s->x[at[i]] > s->x[at[c]]) c = i; }
+  double low = s->x[at[a]], high = s->x[at[c]], m = 0.5*(low + high);
+  if (!are_close(parameters, low, high)) {
+    if (n == 2) return (s->f[at[c]] - s->f[at[a]])/(high - low);
+    int lower[2] = {at[a], at[3-a-c]}, upper[2] = {at[3-a-c], at[c]};
+    return (divided_difference(parameters, s, upper, 2) - divided_difference(parameters, s, lower, 2))/(high - low); }
   int kind = (int)parameters[0];
-  double m = 0.5*(low + high), radius = kind == EXPONENTIAL ? 1 : fabs(m);
-  if (high - low > 0.25*radius) {
-    if (n == 2) return (values[c] - values[a])/(high - low);
-    int b = 3 - a - c;
-    double first[2] = {at[a], at[b]}, second[2] = {at[b], at[c]};
-    double f1[2] = {values[a], values[b]}, f2[2] = {values[b], values[c]};
-    return (divided_difference(parameters, second, f2, 2) - divided_difference(parameters, first, f1, 2))/(high - low); }
-  double alpha = kind == POWER ? parameters[1] : 0, t, h[3] = {1, 1, 1}, sum = 0, reach = 1;
-  t = kind == EXPONENTIAL ? exp(m) : kind == LOGARITHM ? 1/m : alpha*pow(m, alpha - 1);
+  double alpha = kind == POWER ? parameters[1] : 0, t = s->slope[at[a]][at[c]], h[3] = {1, 1, 1}, sum = 0, reach = 1;
   if (n == 3) t *= kind == EXPONENTIAL ? 0.5 : (alpha - 1)/(2*m);
   for (int k = n - 1; k < n + 20; k++) {
     sum += t*h[n-1];
     reach *= 0.5*(high - low);
     if (fabs(t)*reach <= 1e-18*fabs(sum)) break;
-    h[0] *= at[0] - m; /* h_j+1 of some arguments, from that of one less and h_j of these */
-    for (int i = 1; i < n; i++) h[i] = h[i-1] + (at[i] - m)*h[i];
+    h[0] *= s->x[at[0]] - m; /* h_j+1 of some arguments, from that of one less and h_j of these */
+    for (int i = 1; i < n; i++) h[i] = h[i-1] + (s->x[at[i]] - m)*h[i];
     t *= kind == EXPONENTIAL ? 1.0/(k + 1) : (alpha - k)/((k + 1)*m); }
   return sum;
 }
 
-static void spectral_value(const double *parameters, const double *A, double *r, double *kept) {
-  double x[DIM], f[DIM], *V = kept, *f1 = V + DIM*DIM, *f2 = f1 + DIM*DIM;
-  eigenvalues(A, x, V);
-  for (int i = 0; i < DIM; i++) f[i] = function_of(parameters, x[i]);
+/* like: what another function has kept of the same A, or 0. */
+static void spectral_value(const double *parameters, const double *A, double *r, double *kept, const double *like) {
+  double *V = kept, *f1 = V + DIM*DIM, *f2 = f1 + DIM*DIM, *x = f2 + DIM*DIM*DIM;
+  Spectrum s;
+  if (like) { memcpy(V, like, DIM*DIM*sizeof(double)); memcpy(x, like + (x - V), DIM*sizeof(double)); }
+  else eigenvalues(A, x, V);
+  memcpy(s.x, x, sizeof s.x);
+  for (int i = 0; i < DIM; i++) s.f[i] = function_of(parameters, s.x[i]);
+  for (int i = 0; i < DIM; i++) for (int j = 0; j <= i; j++) {
+    double m = 0.5*(s.x[i] + s.x[j]), low = fmin(s.x[i], s.x[j]), high = fmax(s.x[i], s.x[j]);
+    s.slope[i][j] = s.slope[j][i] = !are_close(parameters, low, high) ? 0
+      : slope_of(parameters, m, i == j ? s.f[i] : function_of(parameters, m)); }
   for (int i = 0; i < DIM; i++) for (int j = i; j < DIM; j++) {
-    double at[2] = {x[i], x[j]}, of[2] = {f[i], f[j]};
-    f1[DIM*i+j] = f1[DIM*j+i] = divided_difference(parameters, at, of, 2);
+    f1[DIM*i+j] = f1[DIM*j+i] = divided_difference(parameters, &s, (int[]){i, j}, 2);
     for (int k = j; k < DIM; k++) {
-      double three[3] = {x[i], x[j], x[k]}, values[3] = {f[i], f[j], f[k]};
-      double d = divided_difference(parameters, three, values, 3);
+      double d = divided_difference(parameters, &s, (int[]){i, j, k}, 3);
       f2[(i*DIM+j)*DIM+k] = f2[(i*DIM+k)*DIM+j] = f2[(j*DIM+i)*DIM+k] = d;
       f2[(j*DIM+k)*DIM+i] = f2[(k*DIM+i)*DIM+j] = f2[(k*DIM+j)*DIM+i] = d; } }
   for (int i = 0, n = 0; i < DIM; i++) for (int j = 0; j <= i; j++, n++) {
     r[n] = 0;
-    for (int k = 0; k < DIM; k++) r[n] += V[DIM*i+k]*f[k]*V[DIM*j+k]; }
+    for (int k = 0; k < DIM; k++) r[n] += V[DIM*i+k]*s.f[k]*V[DIM*j+k]; }
 }
 
 static void spectral_first(const double *parameters, const double *r, const double *kept, double *G, double *L) {

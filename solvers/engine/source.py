@@ -193,6 +193,7 @@ class Source:
         # What comes through a linear function has a vector of its own, and no second derivative.
         linear = any(f.linear for f in self._density.functions)
         kept, multiplier = 2 * self.sizes["NR"], self.sizes["NY"] + self.sizes["DATA"]
+        kept_of: dict[tuple[Path | None, Expr], str] = {}
         for k, f in enumerate(self._density.functions):
             n, r, rank, first = f.size, self._place[f], f.rank, self._first(f)
             if not f.stem:
@@ -208,7 +209,11 @@ class Source:
             if f.stem:
                 own = f"parameters_{k}, y + {r}, kept + {kept}"
                 values.append(f"{{ double a[{n}] = {{0}}; ARGUMENT_{k}(a, y, c);")
-                values.append(f"  {f.stem}_value(parameters_{k}, a, y + {r}, kept + {kept}); }}")
+                like = kept_of.setdefault((f.code, f.argument), f"kept + {kept}")
+                like = "0" if like == f"kept + {kept}" else like
+                values.append(
+                    f"  {f.stem}_value(parameters_{k}, a, y + {r}, kept + {kept}, {like}); }}"
+                )
                 start += f"double G[{n * rank}], L[{n * rank}]; {f.stem}_first({own}, G, L); "
                 end = (
                     f"double C[{rank**2}], E[{n * rank}];"

@@ -21,7 +21,7 @@ CODE = """
 #include "spectral.h"
 #define OF(NAME) \\
   void NAME(const double *p, const double *a, double *r, double *kept) \\
-    { NAME##_value(p, a, r, kept); } \\
+    { NAME##_value(p, a, r, kept, 0); } \\
   void NAME##_1(const double *p, const double *r, const double *kept, double *G, double *L) \\
     { NAME##_first(p, r, kept, G, L); } \\
   void NAME##_2(const double *p, const double *r, const double *kept, const double *n, \\
