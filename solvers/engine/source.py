@@ -94,7 +94,9 @@ class Source:
             path.read_text("utf-8") for path in (_DENSE_H, _POINT_C, Path(__file__), *self._codes)
         ]
         layout: list[Any] = [self.sizes, self.arguments, self.local]
-        layout += [[f.stem, f.frozen, f.parameters, self._first(f)] for f in density.functions]
+        layout += [
+            [f.stem, f.frozen, f.linear, f.parameters, self._first(f)] for f in density.functions
+        ]
         signatures = [form.signature() for form in self._forms.values()]
         everything = "\n".join([ffcx.__version__, repr(layout), *signatures, *texts])
         self.key = hashlib.sha256(everything.encode()).hexdigest()
