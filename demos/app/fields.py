@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from demos.app.files import on_rank_0
 from demos.viewing import FIELDS
+from demos.viewing.results import LABELS, padded
 from solvers.files import write_whole
 
 Array = npt.NDArray[np.float64]
@@ -78,30 +79,20 @@ class Series:
 def as_mesh(state: Mapping[str, Array]) -> meshio.Mesh:
     """A gathered state as meshio has it: present positions, with what there is on them."""
     d = state["X"].shape[1]
-    points = np.zeros((len(state["x"]), 3))
-    points[:, :d] = state["x"]
-    at_vertices = {"u": _padded(state["x"] - state["X"])}
+    at_vertices = {"u": padded(state["x"] - state["X"])}
     if "v" in state:
-        at_vertices["v"] = _padded(state["v"])
+        at_vertices["v"] = padded(state["v"])
     on_cells = {"|S - I|": [FIELDS["strain"].values(state)]}
-    for name, label in (("S", "S"), ("R", "R"), ("Lam", "P")):
-        if name in state:
-            on_cells[label] = [_padded(state[name]).reshape(-1, 9).astype(np.float32)]
-    for name, label in (
-        ("von_mises", "von Mises stress"),
-        ("psi", "strain energy density"),
-        ("tags", "tag"),
-    ):
-        if name in state:
-            on_cells[label] = [state[name]]
+    for name, label in LABELS.items():
+        values = state.get("Lam" if name == "P" else name)
+        if values is not None:
+            tensors = values.ndim == 3
+            on_cells[label] = [
+                padded(values).reshape(-1, 9).astype(np.float32) if tensors else values
+            ]
     kind = _KINDS[d, state["cells"].shape[1]]
-    return meshio.Mesh(points, [(kind, state["cells"])], at_vertices, on_cells)
+    return meshio.Mesh(padded(state["x"]), [(kind, state["cells"])], at_vertices, on_cells)
 
 
 def _name(k: int) -> str:
     return f"fields{k:06d}.vtu"
-
-
-def _padded(values: Array) -> Array:
-    """Vectors and tensors in 3D."""
-    return np.pad(values, [(0, 0), *[(0, 3 - n) for n in values.shape[1:]]])

@@ -86,10 +86,24 @@ def claim(folder: Path, names: Iterable[str], header: Sequence[str]) -> None:
                 return
     except (OSError, ValueError):
         pass
-    for name in (ABOUT, *names):
+    refuse(folder, (ABOUT, *names), "run")
+
+
+def refuse(folder: Path, names: Iterable[str], kind: str) -> None:
+    """Refuse to overwrite files.
+
+    Args:
+        folder: Where they are.
+        names: Their names.
+        kind: What they are not of: a run, a study.
+
+    Raises:
+        OutputError: One of them is there.
+    """
+    for name in names:
         if (folder / name).exists():
             raise OutputError(
-                f"--out {folder}: {name} there is not of a run of {PROGRAM}, and would be "
+                f"--out {folder}: {name} there is not of a {kind} of {PROGRAM}, and would be "
                 "overwritten; choose another folder"
             )
 

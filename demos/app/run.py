@@ -23,6 +23,7 @@ from demos.app.output import CHECKPOINT, Output
 from demos.app.progress import Screen, duration
 from demos.app.scene import Scene
 from demos.app.simulation import Simulation, build_body
+from demos.studies.records import aligned
 from meshes import Body
 from solvers import (
     Checkpoint,
@@ -239,12 +240,7 @@ def comparison(runs: Sequence[Run]) -> list[str]:
         total = sum(result.iterations for result in run.results)
         seconds = sum(result.timings["total"] for result in run.results)
         rows.append([run.method, *told, f"{total}", f"{seconds:.2f}", _apart(runs[0], run)])
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lines = [
-        "  ".join([name.ljust(widths[0]), *map(str.rjust, row, widths[1:])]).rstrip()
-        for name, *row in rows
-    ]
-    return ["", *lines]
+    return ["", *aligned(rows)]
 
 
 def _apart(first: Run, other: Run) -> str:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from mpi4py import MPI
 
-from demos.app.files import PROGRAM, OutputError, make_folder, on_rank_0
+from demos.app.files import make_folder, on_rank_0, refuse
 from demos.app.progress import Screen, duration
 from demos.studies.records import Record, of_case, plain
 from demos.studies.sources import sources
@@ -141,16 +141,13 @@ def _claim(study: Study, out: Path) -> None:
     Raises:
         OutputError: There is a file that this program has not written.
     """
-    there = [name for s in _SUFFIXES if (out / (name := f"{study.name}{s}")).exists()]
     try:
-        ours = json.loads((out / f"{study.name}.json").read_text("utf-8"))["study"] == study.name
+        document = json.loads((out / f"{study.name}.json").read_text("utf-8"))
+        if document["study"] == study.name:
+            return
     except (OSError, ValueError, KeyError, TypeError):
-        ours = False
-    if there and not ours:
-        raise OutputError(
-            f"--out {out}: {there[0]} there is not of a study of {PROGRAM}, and would be "
-            "overwritten; choose another folder"
-        )
+        pass
+    refuse(out, [f"{study.name}{suffix}" for suffix in _SUFFIXES], "study")
 
 
 def _write(study: Study, records: Sequence[Record], out: Path, screen: Screen, ranks: int) -> None:

@@ -22,14 +22,15 @@ if TYPE_CHECKING:
 
 Array = npt.NDArray[Any]
 
-_OF_CELLS = {
+LABELS = {
     "S": "S",
     "R": "R",
     "P": "P",
-    "von Mises stress": "von_mises",
-    "strain energy density": "psi",
-    "tag": "tags",
+    "von_mises": "von Mises stress",
+    "psi": "strain energy density",
+    "tags": "tag",
 }
+"""What the files call the cells' fields of a state."""
 
 
 class ResultsError(ValueError):
@@ -91,7 +92,7 @@ class Results:
         state = {"X": x - u, "x": x, "cells": block.data, "t": self.times[k]}
         if "v" in file.point_data:
             state["v"] = file.point_data["v"][:, :d]
-        for label, name in _OF_CELLS.items():
+        for name, label in LABELS.items():
             if label in file.cell_data:
                 values = file.cell_data[label][0]
                 tensors = values.ndim == 2 and values.shape[1] == 9
@@ -177,6 +178,11 @@ def load(folder: str | Path) -> Results:
         ResultsError: There are no results in the folder.
     """
     return Results(folder)
+
+
+def padded(values: Array) -> Array:
+    """Vectors or tensors in 3D, shape (n, 3) or (n, 3, 3)."""
+    return np.pad(values, [(0, 0), *[(0, 3 - n) for n in values.shape[1:]]])
 
 
 def _about(folder: Path) -> dict[str, Any]:

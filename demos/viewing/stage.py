@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from demos.viewing.colours import FIELDS, Field
-from demos.viewing.results import Results
+from demos.viewing.results import Results, padded
 
 SIZE = (1600, 900)
 INK = "#22303c"
@@ -64,7 +64,7 @@ class Stage:
         values, extremes = [], []
         for last in trail or results:
             values.append(results.field_of(last, field))
-            extremes.append(_extremes(_padded(last["x"])))
+            extremes.append(_extremes(padded(last["x"])))
         self._planar = last["X"].shape[1] == 2
         self._body = _surface(self._pv, last["X"], last["cells"])
         self._rest = self._body.copy()
@@ -116,7 +116,7 @@ class Stage:
         self._time.input = f"{caption}   t = {float(state['t']):.3f} s"
 
     def _dress(self, body: Any, state: dict[str, Any], values: Array) -> None:
-        body.points = _padded(state["x"])
+        body.points = padded(state["x"])
         if FIELDS[self._name].on == "cells":
             body.cell_data["colour"] = values[body.cell_data["cell"]]
         else:
@@ -201,7 +201,7 @@ def _on_the_way(results: Results, last: int) -> list[dict[str, Any]]:
 
 def _plane(pv: Any, space: Array, normal: Sequence[float], offset: float) -> Any:
     """The part of the plane n · x = offset below the body, a line in 2D."""
-    n = _padded(np.array([normal], dtype=np.float64))[0]
+    n = padded(np.array([normal], dtype=np.float64))[0]
     offset, n = offset / np.linalg.norm(n), n / np.linalg.norm(n)
     middle = 0.5 * (space.min(axis=0) + space.max(axis=0))
     centre = middle - (middle @ n - offset) * n
@@ -210,11 +210,6 @@ def _plane(pv: Any, space: Array, normal: Sequence[float], offset: float) -> Any
         along = np.array([-n[1], n[0], 0.0]) * size / 2
         return pv.Line(centre - along, centre + along)
     return pv.Plane(center=centre, direction=n, i_size=size, j_size=size)
-
-
-def _padded(points: Array) -> Array:
-    """Points in 3D."""
-    return np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
 
 
 def _extremes(points: Array) -> Array:
@@ -244,12 +239,12 @@ _EDGES = {4: [1, 2, 3], 8: [1, 3, 4]}
 
 def _surface(pv: Any, points: Array, cells: npt.NDArray[np.int64]) -> Any:
     """The faces that one sees, all wound the same way, each with the number of its cell."""
-    padded = _padded(points)
+    in_space = padded(points)
     number = np.arange(len(cells))
     faces = cells
     if points.shape[1] == 3:
         of_cell = np.array(_FACES[cells.shape[1]])
-        edges = padded[cells[:, _EDGES[cells.shape[1]]]] - padded[cells[:, :1]]
+        edges = in_space[cells[:, _EDGES[cells.shape[1]]]] - in_space[cells[:, :1]]
         faces = cells[:, of_cell]
         inverted = np.linalg.det(edges) < 0
         faces[inverted] = faces[inverted][..., ::-1]
@@ -257,7 +252,7 @@ def _surface(pv: Any, points: Array, cells: npt.NDArray[np.int64]) -> Any:
         _, first, count = np.unique(np.sort(faces), axis=0, return_index=True, return_counts=True)
         outer = first[count == 1]
         faces, number = faces[outer], number[outer]
-    surface = pv.PolyData.from_regular_faces(padded, faces)
+    surface = pv.PolyData.from_regular_faces(in_space, faces)
     surface.cell_data["cell"] = number
     return surface
 

@@ -211,8 +211,8 @@ class Source:
             if f.stem:
                 own = f"parameters_{k}, y + {r}, kept + {kept}"
                 values.append(f"{{ double a[{n}] = {{0}}; ARGUMENT_{k}(a, y, c);")
-                like = kept_of.setdefault((f.code, f.argument), f"kept + {kept}")
-                like = "0" if like == f"kept + {kept}" else like
+                like = kept_of.get((f.code, f.argument), "0")
+                kept_of[f.code, f.argument] = f"kept + {kept}"
                 values.append(
                     f"  {f.stem}_value(parameters_{k}, a, y + {r}, kept + {kept}, {like}); }}"
                 )

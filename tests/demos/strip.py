@@ -5,13 +5,9 @@ from __future__ import annotations
 import csv
 from pathlib import Path
 
-from mpi4py import MPI
-
 import numpy as np
 
 from demos.app.scene import Scene, parse
-
-COMM = MPI.COMM_WORLD
 
 # A strip, its vertices and cells listed in no order that DOLFINx would choose.
 POINTS = np.array([[2.0, 0], [0, 0], [1, 1], [0, 1], [1, 0], [2, 1], [3, 1], [3, 0]])
