@@ -10,9 +10,9 @@ from mpi4py import MPI
 import numpy as np
 import numpy.typing as npt
 import ufl
-from dolfinx import fem
 
 from forms.model import Energies, Integral, Model
+from forms.spaces import function
 from forms.time import Scheme
 
 Array = npt.NDArray[np.float64]
@@ -71,7 +71,7 @@ class Account:
         u, V = model.u, model.u.function_space
         self.balance = Balance()
         self.reactions = np.zeros((len(model.held), V.dofmap.bs))
-        self._change = fem.Function(V)
+        self._change = function(V)
         u_theta = scheme.point(u)
         loads = [-ufl.derivative(term, u, self._change) for term in model.potentials(u_theta)]
         work = model.virtual_work(scheme)

@@ -16,6 +16,7 @@ from ufl.classes import Label, Variable
 from ufl.core.expr import Expr
 
 from forms.points import common_degree, local_space
+from forms.spaces import zeros
 
 
 class CellData(fem.Function):
@@ -60,7 +61,8 @@ class CellData(fem.Function):
         coefficients = extract_coefficients(argument)
         domain: Any = ufl.domain.extract_unique_domain(argument)
         msh = mesh.Mesh(domain.ufl_cargo(), domain)
-        super().__init__(local_space(msh, common_degree(coefficients), shape), name=name)
+        V = local_space(msh, common_degree(coefficients), shape)
+        super().__init__(V, zeros(V), name=name)
         self.x.array[:] = np.nan  # rather than numbers of no state
         self._inner = [c for c in coefficients if isinstance(c, CellData)]
         self._compiled: fem.Expression | None = None

@@ -9,6 +9,7 @@ import numpy.typing as npt
 from dolfinx import fem, mesh
 
 from forms.points import CELLS, local_space, quadrature_degree, rule_degree
+from forms.spaces import function, function_space
 
 
 def displacement_field(msh: mesh.Mesh, degree: int = 1) -> fem.Function:
@@ -30,7 +31,7 @@ def displacement_field(msh: mesh.Mesh, degree: int = 1) -> fem.Function:
     require_straight(msh)
     if degree < 1:
         raise ValueError(f"degree is {degree}; a continuous displacement has degree 1 or more")
-    return fem.Function(fem.functionspace(msh, ("P", degree, (d,))), name="u")
+    return function(function_space(msh, ("P", degree, (d,))), name="u")
 
 
 def require_straight(msh: mesh.Mesh) -> None:
@@ -77,11 +78,11 @@ def mixed_fields(
     u = displacement_field(msh, degree)
     d, points = msh.geometry.dim, quadrature_degree(u.function_space)
     symmetric = local_space(msh, points, (d, d), symmetric=True)
-    S = fem.Function(symmetric, name="S")
+    S = function(symmetric, name="S")
     set_everywhere(S, np.eye(d))
     if multiplier == "symmetric":
-        return u, S, fem.Function(symmetric, name="Y")
-    return u, S, fem.Function(local_space(msh, points, (d, d)), name="Lam")
+        return u, S, function(symmetric, name="Y")
+    return u, S, function(local_space(msh, points, (d, d)), name="Lam")
 
 
 def point_field(
@@ -103,7 +104,7 @@ def point_field(
     """
     value = np.asarray(value, dtype=float)
     space = local_space(msh, rule_degree(msh, degree), value.shape, symmetric=symmetric)
-    f = fem.Function(space, name=name)
+    f = function(space, name=name)
     set_everywhere(f, value)
     return f
 

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from dolfinx import fem
 
 from forms.body import BodyLike
+from forms.spaces import function
 
 Array = npt.NDArray[np.float64]
 
@@ -69,7 +70,7 @@ class Held:
     def __init__(self, motion: Motion, body: BodyLike, V: fem.FunctionSpace) -> None:
         d = V.dofmap.bs
         self._motion = motion
-        self._values: fem.Function = fem.Function(V)
+        self._values = function(V)
         self.blocks = body.dofs(V, motion.where)
         self._X = V.tabulate_dof_coordinates()[self.blocks, :d]
         self.bcs: list[fem.DirichletBC] = []

@@ -17,6 +17,7 @@ import ufl
 from dolfinx import fem
 from ufl.core.expr import Expr
 
+from forms.spaces import function
 from forms.time import Array, Scheme
 
 
@@ -49,7 +50,7 @@ class Newmark(Scheme):
             raise ValueError(f"gamma is {gamma}; it must be 0.5 or more, or the motion grows")
         self.order = 2 if gamma == 0.5 else 1
         self.error_constant = abs(beta - 1 / 6) if gamma == 0.5 else abs(gamma - 0.5)
-        self.a = fem.Function(u.function_space, name="a")
+        self.a = function(u.function_space, name="a")
         self._later = beta, gamma
         msh = u.function_space.mesh
         self._beta, self._gamma = fem.Constant(msh, 0.5), fem.Constant(msh, 1.0)

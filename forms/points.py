@@ -15,6 +15,8 @@ import ufl
 from dolfinx import fem, mesh
 from ufl.algorithms import extract_coefficients
 
+from forms.spaces import function_space
+
 CELLS = {
     2: (mesh.CellType.triangle, mesh.CellType.quadrilateral),
     3: (mesh.CellType.tetrahedron, mesh.CellType.hexahedron),
@@ -98,11 +100,11 @@ def local_space(
         symmetric: Whether it is a symmetric tensor, of which the lower triangle is kept.
     """
     if degree == 0:
-        return fem.functionspace(msh, ("DG", 0, shape, True) if symmetric else ("DG", 0, shape))
+        return function_space(msh, ("DG", 0, shape, True) if symmetric else ("DG", 0, shape))
     element = basix.ufl.quadrature_element(
         msh.basix_cell(), value_shape=shape, degree=degree, symmetry=symmetric or None
     )
-    return fem.functionspace(msh, element)
+    return function_space(msh, element)
 
 
 def common_degree(coefficients: Iterable[fem.Function]) -> int:

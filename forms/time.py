@@ -23,6 +23,7 @@ from dolfinx import fem
 from ufl.core.expr import Expr
 
 from forms.constants import as_constant
+from forms.spaces import function
 
 Array = npt.NDArray[np.floating[Any]]
 
@@ -66,9 +67,9 @@ class Scheme(ABC):
             raise ValueError(f"h is {value}; the time step [s] must be positive and finite")
         V = u.function_space
         self.u = u
-        self.u_old = fem.Function(V, name="u_old")
+        self.u_old = function(V, name="u_old")
         self.u_old.x.array[:] = u.x.array
-        self.v = fem.Function(V, name="v")
+        self.v = function(V, name="v")
         self.h = h if isinstance(h, fem.Constant) else fem.Constant(V.mesh, float(h))
         self.t = 0.0
         self._h_before = 0.0  # of the step before, none as yet
@@ -235,7 +236,7 @@ class BDF2(Scheme):
         """Start from the current displacement, at rest, see `Scheme`."""
         super().__init__(u, h)
         V = u.function_space
-        self._u_older, self._v_older = fem.Function(V), fem.Function(V)
+        self._u_older, self._v_older = function(V), function(V)
         self._rate_before = fem.Constant(V.mesh, 0.0)  # one over the length of the step before
 
     def kinetic(self, rho: float | Expr) -> Expr:

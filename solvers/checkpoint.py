@@ -27,6 +27,7 @@ import numpy.typing as npt
 from dolfinx import fem
 
 from forms import Model, Scheme
+from forms.spaces import function
 from meshes import Body
 from meshes.cellwise import gather_all, put_all
 from solvers.files import write_whole
@@ -166,7 +167,7 @@ def _functions(model: Model, scheme: Scheme) -> dict[str, fem.Function[Any]]:
         if isinstance(value, fem.Function) and value is not scheme.u:
             found[f"scheme {name}"] = value
     for name, values in _arrays(scheme).items():
-        found[name] = fem.Function(scheme.u.function_space)
+        found[name] = function(scheme.u.function_space)
         found[name].x.array[:] = values
     return found
 

@@ -11,6 +11,7 @@ from petsc4py import PETSc
 import numpy as np
 from dolfinx import fem, la
 
+from forms.spaces import zeros
 from solvers.condensation import Condensation
 from solvers.inner import InnerSolver
 from solvers.interruption import Guard
@@ -55,10 +56,7 @@ class CondensedSolver:
         self._V = fields[0].function_space
         self._names = [f.name for f in fields]
         self._layout, self._shared = system.unknowns.layout, shared
-        self._local = [
-            la.vector(f.function_space.dofmap.index_map, f.function_space.dofmap.index_map_bs)
-            for f in (fields[k] for k in shared)
-        ]
+        self._local = [zeros(fields[k].function_space) for k in shared]
         self._blocks: Condensation | None = None
         comm = self._layout.comm
         owned = sum(int(np.diff(self._layout.offsets)[k]) for k in shared)
@@ -216,7 +214,7 @@ def rigid_body_modes(V: fem.FunctionSpace) -> PETSc.NullSpace:
     d = V.dofmap.index_map_bs
     X = V.tabulate_dof_coordinates()
     planes = [(0, 1)] if d == 2 else [(0, 1), (1, 2), (2, 0)]
-    basis = [la.vector(V.dofmap.index_map, bs=d) for _ in range(d + len(planes))]
+    basis = [zeros(V) for _ in range(d + len(planes))]
     modes = [vector.array.reshape(-1, d) for vector in basis]
     for i in range(d):
         modes[i][:, i] = 1.0

@@ -17,7 +17,7 @@ from solvers.condensation import Floats, LocalBlocks
 from solvers.condensed import rigid_body_modes
 from solvers.elimination import DiagonalBlocks, Elimination, SchurComplements
 from solvers.layout import BlockLayout, Ints, require_local
-from solvers.lifetime import weakly
+from solvers.lifetime import Factors, weakly
 from solvers.linear import forget_factors
 from solvers.options import KEEP_WHILE, Options
 from solvers.preconditioners import INEXACT, Preconditioner
@@ -75,6 +75,7 @@ class FieldSplitSolver:
         self._P: PETSc.Mat | None = None
         # Of the condensed matrix.
         self._innermost = ksp
+        self._right = Factors(layout.comm, self)
         self._iterative: PETSc.KSP | None = None
         # The most iterations on the condensed matrix in one application with the preconditioner
         # in use, and with the last new one.
@@ -111,8 +112,10 @@ class FieldSplitSolver:
         """Nothing."""
 
     def renew(self) -> None:
-        """Keep no preconditioner; the splits stay as they are."""
+        """Keep no preconditioner; the splits stay as they are. Collective."""
         self._cost, self._fresh_cost, self._kept = 0, 0, False
+        if self._innermost.getPC().getType() in ("lu", "cholesky"):
+            forget_factors(self._innermost)
 
     def set_up(self, A: PETSc.Mat) -> PETSc.Mat:
         """Choose the order of elimination, and make the preconditioner, once.
@@ -179,6 +182,7 @@ class FieldSplitSolver:
         """Iterations of the last solve, and those on the condensed matrix since the last call."""
         inner = self.inner - self._counted
         self._counted = self.inner
+        self._right.used()
         return int(self._ksp.getIterationNumber()), inner
 
     def why(self) -> str:

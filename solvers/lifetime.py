@@ -7,6 +7,7 @@ they would stay for good, with a communicator each, of which MPICH has 2048.
 
 from __future__ import annotations
 
+import gc
 import itertools
 import weakref
 from collections.abc import Callable, Sequence
@@ -21,8 +22,46 @@ _dead: dict[tuple[_Group, int], Sequence[Any]] = {}
 _shared: list[MPI.Comm] = [MPI.COMM_WORLD, MPI.COMM_SELF]
 _factors: dict[tuple[_Group, int], weakref.ref[Any]] = {}
 
-MOST_FACTORS = 64
+MOST_FACTORS = 32
 """Of so many solvers factors are kept. Those of MUMPS have four communicators each."""
+
+
+SPARE = 64
+"""So many communicators a new problem must find: more than its mesh, fields and solver take."""
+
+
+def require_communicators(comm: MPI.Comm) -> None:
+    """Insist on communicators for another problem: without them MPI would abort. Collective.
+
+    Raises:
+        RuntimeError: There are too few, even without the problems that nobody needs any more.
+    """
+    shared = shared_communicator(comm)
+    destroy_dead(shared)
+    if _spare(shared):
+        return
+    gc.collect()
+    destroy_dead(shared)
+    if not _spare(shared):
+        raise RuntimeError(
+            f"MPI has fewer than {SPARE} communicators left for another problem; let go of some of "
+            "the problems and meshes in memory, or have problems share a mesh"
+        )
+
+
+def _spare(comm: MPI.Comm) -> bool:
+    handler = comm.Get_errhandler()
+    comm.Set_errhandler(MPI.ERRORS_RETURN)
+    made: list[MPI.Comm] = []
+    try:
+        made.extend(comm.Dup() for _ in range(SPARE))
+    except MPI.Exception:
+        pass
+    finally:
+        comm.Set_errhandler(handler)
+        for spare in made:
+            spare.Free()
+    return len(made) == SPARE
 
 
 def shared_communicator(comm: MPI.Comm) -> MPI.Comm:
@@ -47,7 +86,8 @@ class Factors:
             comm: Communicator of the owner.
             owner: A solver with a method `renew`, collective, that lets go of its factors.
         """
-        self._comm, self._owner, self._group = comm, weakref.ref(owner), _group(comm)
+        self._comm, self._owner = shared_communicator(comm), weakref.ref(owner)
+        self._group = _group(comm)
         self._key: tuple[_Group, int] | None = None
 
     def used(self) -> None:

@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Protocol
 
+from mpi4py import MPI
 from petsc4py import PETSc
+
+from solvers.lifetime import Factors
 
 
 class LinearSolver(Protocol):
@@ -67,8 +70,9 @@ class LinearSolver(Protocol):
 class KrylovSolver:
     """PETSc's Krylov solver, with what its options say."""
 
-    def __init__(self, ksp: PETSc.KSP) -> None:
+    def __init__(self, ksp: PETSc.KSP, comm: MPI.Comm) -> None:
         self._ksp = ksp
+        self._right = Factors(comm, self)
         self.seconds: dict[str, float] = {}
         self.notes: dict[int, str] = {}
         self.target = 0.0
@@ -100,6 +104,7 @@ class KrylovSolver:
 
     def count(self) -> tuple[int, int | None]:
         """Iterations of the last solve."""
+        self._right.used()
         return int(self._ksp.getIterationNumber()), None
 
     def why(self) -> str:

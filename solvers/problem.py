@@ -22,7 +22,7 @@ from solvers.engine.system import EngineProblem
 from solvers.fieldsplit import FieldSplitSolver
 from solvers.interruption import Guard, deferred
 from solvers.layout import require_local
-from solvers.lifetime import destroy_dead, destroy_with
+from solvers.lifetime import destroy_with, require_communicators
 from solvers.linear import KrylovSolver, LinearSolver
 from solvers.newton import Newton
 from solvers.options import SOLVERS, Options, OptionSet
@@ -111,6 +111,7 @@ class MixedProblem:
                 not go with `forms.measure`; a work that is not linear in a test function of the
                 displacement; a condition on what is no field; a prefix that another problem has; or
                 choices that do not go together.
+            RuntimeError: MPI has too few communicators left, as too many problems are alive.
         """
         if solver not in SOLVERS:
             raise ValueError(f"solver is {solver!r}; available: {', '.join(SOLVERS)}")
@@ -130,7 +131,7 @@ class MixedProblem:
             strategy = STRATEGIES[strategy]()
         check_forms(energy, work, fields, eliminated=solver != "direct")
         check_conditions(bcs, fields)
-        destroy_dead(fields[0].function_space.mesh.comm)
+        require_communicators(fields[0].function_space.mesh.comm)
         self.fields, self._bcs = tuple(fields), tuple(bcs)
         self._cell_data = cell_data(energy, work)
         self._options = OptionSet(prefix or f"mixed_fem_{next(_serial)}_", options or {})
@@ -164,7 +165,7 @@ class MixedProblem:
             )
         else:
             self._options.put(defaults.DIRECT)
-            linear = KrylovSolver(snes.getKSP())
+            linear = KrylovSolver(snes.getKSP(), self.system.unknowns.layout.comm)
         snes.setFromOptions()
         self._newton = Newton(self.system, linear, guard)
         self._newton.monitor(

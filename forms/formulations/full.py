@@ -13,6 +13,7 @@ from forms.kinematics import deformation_gradient
 from forms.materials import StrainEnergy
 from forms.points import local_space, quadrature_degree
 from forms.rotation import polar_rotation, quaternion_rotation
+from forms.spaces import function
 
 
 class Seed(Formulation):
@@ -70,7 +71,7 @@ class RotationField(Formulation):
         """Return u, S, Λ, q at rest."""
         u, S, Lam = mixed_fields(msh, multiplier="full", degree=degree)
         size = {2: 2, 3: 4}[len(u)]
-        q = fem.Function(local_space(msh, quadrature_degree(u.function_space), (size,)), name="q")
+        q = function(local_space(msh, quadrature_degree(u.function_space), (size,)), name="q")
         set_everywhere(q, np.eye(size)[0])
         return u, S, Lam, q
 

@@ -14,6 +14,7 @@ from forms.kinematics import deformation_gradient
 from forms.materials import StrainEnergy
 from forms.points import is_simplicial, local_space, quadrature_degree
 from forms.rotation import polar_rotation, right_stretch
+from forms.spaces import function, function_space
 
 
 class MeanDilatation(Formulation):
@@ -27,10 +28,10 @@ class MeanDilatation(Formulation):
         """Return u, S, Y, θ, p at rest."""
         u, S, Y = mixed_fields(msh, degree=degree)
         if is_simplicial(msh):
-            V = fem.functionspace(msh, ("DG", max(degree - 2, 0)))
+            V = function_space(msh, ("DG", max(degree - 2, 0)))
         else:
-            V = fem.functionspace(msh, ("DPC", degree - 1))
-        theta, p = fem.Function(V, name="theta"), fem.Function(V, name="p")
+            V = function_space(msh, ("DPC", degree - 1))
+        theta, p = function(V, name="theta"), function(V, name="p")
         theta.interpolate(lambda X: np.ones(X.shape[1]))
         return u, S, Y, theta, p
 
@@ -113,9 +114,9 @@ class TaylorHood(MeanDilatation):
             raise ValueError(f"degree is {degree}; a continuous pressure has degree 1 or more")
         u, S, Y = mixed_fields(msh, degree=self.degree_of_u(degree))
         points = local_space(msh, quadrature_degree(u.function_space))
-        theta = fem.Function(points, name="theta")
+        theta = function(points, name="theta")
         set_everywhere(theta, 1.0)
-        return u, S, Y, theta, fem.Function(fem.functionspace(msh, ("P", degree)), name="p")
+        return u, S, Y, theta, function(function_space(msh, ("P", degree)), name="p")
 
 
 def _dilated(S: Expr, theta: Expr) -> Expr:

@@ -12,6 +12,7 @@ from dolfinx import fem, mesh
 from ufl.core.expr import Expr
 
 from forms.materials.base import Material, StrainEnergy
+from forms.spaces import function, function_space
 
 
 def by_tag(
@@ -62,8 +63,8 @@ def cell_values(msh: mesh.Mesh, tags: mesh.MeshTags, values: Mapping[int, float]
     Raises:
         ValueError: On all ranks: a cell has no value. Says which tags have none.
     """
-    space = fem.functionspace(msh, ("DG", 0))
-    f = fem.Function(space)
+    space = function_space(msh, ("DG", 0))
+    f = function(space)
     f.x.array[:] = np.nan
     for tag, value in values.items():
         f.x.array[space.dofmap.list[tags.find(tag), 0]] = value

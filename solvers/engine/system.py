@@ -13,6 +13,7 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem, la
 
+from forms.spaces import zeros
 from solvers.condensation import Condensation
 from solvers.engine.couplings import Couplings, prescribed_dofs
 from solvers.engine.density import take_apart
@@ -112,10 +113,7 @@ class EngineProblem:
         self.x, self.b = self.layout.create_vector(), self.layout.create_vector()
         self._rest = Rest(rest, work, self._shared, self._bcs)
         self.data = cell_data(rest, work)
-        self._r = [
-            la.vector(f.function_space.dofmap.index_map, f.function_space.dofmap.index_map_bs)
-            for f in self._shared
-        ]
+        self._r = [zeros(f.function_space) for f in self._shared]
         self._arrays = [np.zeros_like(f.x.array) for f in fields]
         for k, vector in zip(self.shared, self._r, strict=True):
             self._arrays[k] = vector.array

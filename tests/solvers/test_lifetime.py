@@ -10,6 +10,8 @@ from mpi4py import MPI
 import pytest
 
 from demos.studies.bar import bar
+from meshes import box
+from solvers import lifetime
 from solvers.lifetime import destroy_dead
 from tests.solvers.test_condensation import build
 
@@ -78,3 +80,29 @@ def test_a_descent_is_freed(formulation, globalisation, note):
         return [weakref.ref(run.problem)]
 
     assert left_by(solve) == 0
+
+
+@pytest.mark.parametrize("formulation", ["symmetric", "displacement"])
+@pytest.mark.parametrize("solver", ["direct", "fieldsplit", "condensed"])
+def test_problems_on_one_mesh_share_its_communicators(monkeypatch, formulation, solver):
+    """Beyond those whose factors are kept, one more problem alive takes none."""
+    monkeypatch.setattr(lifetime, "MOST_FACTORS", 4)
+    body = box(MPI.COMM_WORLD, size=(2.0, 1.0), cells=(2, 1))
+    alive, left = [], []
+    for _ in range(8):
+        run = bar(
+            MPI.COMM_WORLD, formulation, n=1, E=1e5, h=0.1, dimension=2, solver=solver, body=body
+        )
+        run.step()
+        alive.append(run)
+        left.append(free_communicators())
+    assert left[5:] == left[5:6] * 3
+
+
+def test_too_many_problems_are_refused(monkeypatch):
+    """In Python, before MPI aborts."""
+    if not (free := free_communicators()):
+        pytest.skip("another MPI has more communicators than there is memory for")
+    monkeypatch.setattr(lifetime, "SPARE", free + 1)
+    with pytest.raises(RuntimeError, match=r"fewer than .* communicators left.* share a mesh"):
+        bar(MPI.COMM_WORLD, "displacement", n=1, E=1e5, h=0.1, dimension=2)
