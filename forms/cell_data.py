@@ -37,13 +37,15 @@ class CellData(fem.Function):
         argument: What the data are computed from.
         code: C source of the function of the argument that the data stand for, or None where that
             is the argument itself; `forms/code/polar.h` is an example.
-        symmetric: Whether that function goes from symmetric tensors to symmetric tensors.
+        stem: What the names of its C functions begin with, that of the source if it is empty.
+        symmetric: Whether the argument is a symmetric tensor, and the value if it is a tensor.
         rank: That of its derivative.
         kept: How many numbers the source keeps for derivatives.
         parameters: Numbers that it is given.
     """
 
     code: ClassVar[Path | None] = None
+    stem: ClassVar[str] = ""
     symmetric: ClassVar[bool] = False
     rank: int = 0
     kept: int = 0

@@ -15,7 +15,7 @@ are those of f(A).
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations_with_replacement
 from pathlib import Path
@@ -60,6 +60,18 @@ class ScalarFunction:
     radius: Callable[[Floats], Floats]
     code: int
     exponent: float = 0.0
+
+
+def traces_of_powers(A: Expr, exponents: Sequence[float]) -> Expr:
+    """Return tr Aᵃ for each exponent a, with exact first and second UFL derivatives, shape (n,).
+
+    For a material that is a function of such traces it is the same as `power`, at less cost.
+
+    Args:
+        A: Symmetric positive definite, shape (d, d).
+        exponents: Real numbers.
+    """
+    return _TracesOfPowers.of(A, tuple(map(float, exponents))).function
 
 
 def tensor_function(A: Expr, f: ScalarFunction) -> Expr:
@@ -127,29 +139,24 @@ class _SpectralData(CellData):
         self.function = marked(self._expansion(), self)
 
     def compute(self, values: Floats) -> Floats:
-        A = values.copy()
-        lost = ~np.isfinite(A).all(axis=(1, 2))
-        A[lost] = np.eye(A.shape[1])
-        lam, V = np.linalg.eigh(A)
+        lam, V, lost = _decomposed(values)
         with np.errstate(all="ignore"):
             columns = [[lam[:, list(at)] for at in zip(*o, strict=True)] for o in self._orders]
             differences = np.concatenate(
                 [divided_difference(self._f, *arguments) for arguments in columns], axis=1
             )
         differences[lost] = np.nan
-        return np.concatenate([V.reshape(len(A), -1), lam, differences], axis=1)
+        return np.concatenate([V.reshape(len(V), -1), lam, differences], axis=1)
 
     def _expansion(self) -> Expr:
         """The Taylor polynomial of f around the present A."""
         A = self.argument
         d = A.ufl_shape[0]
-        V = ufl.as_matrix([[self[d * i + j] for j in range(d)] for i in range(d)])
-        lam = [self[d * d + i] for i in range(d)]
+        V, D = _turned(A, self)
         numbers = {
             indices: self[d * d + d + k]
             for k, indices in enumerate(i for order in self._orders for i in order)
         }
-        D = V.T * A * V - ufl.diag(ufl.as_vector(lam))
         entries = [
             [
                 (numbers[(i,)] if i == j else 0)
@@ -160,6 +167,68 @@ class _SpectralData(CellData):
             for i in range(d)
         ]
         return V * ufl.as_matrix(entries) * V.T
+
+
+class _TracesOfPowers(CellData):
+    """V, λ, and of each power f its trace, f'(λ), f'[λᵢ, λⱼ]."""
+
+    code = _SpectralData.code
+    stem = "traces"
+    symmetric = True
+
+    def __init__(self, A: Expr, exponents: tuple[float, ...]) -> None:
+        d = A.ufl_shape[0]
+        self._exponents = exponents
+        self._pairs = list(combinations_with_replacement(range(d), 2))
+        each = d + len(self._pairs)
+        super().__init__(A, (d * d + d + len(exponents) * (1 + each),), "traces")
+        self.parameters = float(len(exponents)), *exponents
+        self.rank, self.kept = len(self._pairs), d * d + d + len(exponents) * each
+        self.function = marked(self._expansion(), self)
+
+    def compute(self, values: Floats) -> Floats:
+        lam, V, lost = _decomposed(values)
+        columns = [V.reshape(len(V), -1), lam]
+        with np.errstate(all="ignore"):
+            for a in self._exponents:
+                slope = _power(a - 1.0)
+                differences = [
+                    a * divided_difference(slope, lam[:, i], lam[:, j]) for i, j in self._pairs
+                ]
+                trace = np.sum(lam**a, axis=1)
+                columns += [np.column_stack([trace, a * slope.value(lam), *differences])]
+        for numbers in columns[2:]:
+            numbers[lost] = np.nan
+        return np.concatenate(columns, axis=1)
+
+    def _expansion(self) -> Expr:
+        """The Taylor polynomials around the present A."""
+        d = self.argument.ufl_shape[0]
+        each = 1 + d + len(self._pairs)
+        _, D = _turned(self.argument, self)
+        traces = []
+        for first in range(d * d + d, self.ufl_shape[0], each):
+            slopes = [self[first + 1 + i] * D[i, i] for i in range(d)]
+            curved = [
+                (1.0 if i < j else 0.5) * self[first + 1 + d + k] * D[i, j] ** 2
+                for k, (i, j) in enumerate(self._pairs)
+            ]
+            traces.append(self[first] + sum(slopes) + sum(curved))
+        return ufl.as_vector(traces)
+
+
+def _decomposed(A: Floats) -> tuple[Floats, Floats, npt.NDArray[np.bool_]]:
+    """Eigenvalues, ascending, and eigenvectors, by columns, and where there are none."""
+    lost = ~np.isfinite(A).all(axis=(1, 2))
+    lam, V = np.linalg.eigh(np.where(lost[:, None, None], np.eye(A.shape[1]), A))
+    return lam, V, lost
+
+
+def _turned(A: Expr, data: CellData) -> tuple[Expr, Expr]:
+    """V, and D = Vᵀ A V - diag λ, V and λ being the first of the data."""
+    d = A.ufl_shape[0]
+    V = ufl.as_matrix([[data[d * i + j] for j in range(d)] for i in range(d)])
+    return V, V.T * A * V - ufl.diag(ufl.as_vector([data[d * d + i] for i in range(d)]))
 
 
 def divided_difference(f: ScalarFunction, *at: Floats) -> Floats:

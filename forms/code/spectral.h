@@ -1,7 +1,7 @@
 /* Functions of symmetric tensors, r = f(A), by eigenvalues; see forms/spectral.py.
 
    Of a tensor the lower triangle counts, row by row. parameters: number of the function, exponent.
-   Kept: eigenvectors V (by columns), f[a, b] of pairs of eigenvalues, f[a, b, c] of triples, eigenvalues. With
+   Kept: eigenvectors V (by columns), eigenvalues, f[a, b] of pairs of these, f[a, b, c] of triples. With
    D = V^T dA V, (V^T dr V)_ij = f[i, j] D_ij + sum_k f[i, k, j] D_ik D_kj + ... (Daletskii and Krein). */
 #define SPECTRAL_N (DIM*(DIM + 1)/2)
 
@@ -73,11 +73,23 @@ static double divided_difference(const double *parameters, const Spectrum *s, co
 }
 
 /* like: what another function has kept of the same A, or 0. */
+static void decompose(const double *A, double *V, double *x, const double *like) {
+  if (!like) eigenvalues(A, x, V);
+  else { memcpy(V, like, DIM*DIM*sizeof(double)); memcpy(x, like + DIM*DIM, DIM*sizeof(double)); }
+}
+
+/* The lower triangle of D = L dA. */
+static void turn(const double *V, double *L) {
+  for (int i = 0, n = 0; i < DIM; i++) for (int j = 0; j <= i; j++, n++)
+    for (int a = 0, m = 0; a < DIM; a++) for (int b = 0; b <= a; b++, m++) {
+      double ab = V[DIM*i+a]*V[DIM*j+b], ba = V[DIM*i+b]*V[DIM*j+a];
+      L[m*SPECTRAL_N+n] = i == j ? ab : ab + ba; }
+}
+
 static void spectral_value(const double *parameters, const double *A, double *r, double *kept, const double *like) {
-  double *V = kept, *f1 = V + DIM*DIM, *f2 = f1 + DIM*DIM, *x = f2 + DIM*DIM*DIM;
+  double *V = kept, *x = V + DIM*DIM, *f1 = x + DIM, *f2 = f1 + DIM*DIM;
   Spectrum s;
-  if (like) { memcpy(V, like, DIM*DIM*sizeof(double)); memcpy(x, like + (x - V), DIM*sizeof(double)); }
-  else eigenvalues(A, x, V);
+  decompose(A, V, x, like);
   memcpy(s.x, x, sizeof s.x);
   for (int i = 0; i < DIM; i++) s.f[i] = function_of(parameters, s.x[i]);
   for (int i = 0; i < DIM; i++) for (int j = 0; j <= i; j++) {
@@ -96,17 +108,17 @@ static void spectral_value(const double *parameters, const double *A, double *r,
 }
 
 static void spectral_first(const double *parameters, const double *r, const double *kept, double *G, double *L) {
-  const double *V = kept, *f1 = V + DIM*DIM;
+  const double *V = kept, *f1 = V + DIM*DIM + DIM;
+  turn(V, L);
   for (int i = 0, n = 0; i < DIM; i++) for (int j = 0; j <= i; j++, n++)
     for (int a = 0, m = 0; a < DIM; a++) for (int b = 0; b <= a; b++, m++) {
       double ab = V[DIM*i+a]*V[DIM*j+b], ba = V[DIM*i+b]*V[DIM*j+a];
-      G[n*SPECTRAL_N+m] = f1[DIM*a+b]*(a == b ? ab : ab + ba);
-      L[m*SPECTRAL_N+n] = i == j ? ab : ab + ba; }
+      G[n*SPECTRAL_N+m] = f1[DIM*a+b]*(a == b ? ab : ab + ba); }
 }
 
 static void spectral_second(const double *parameters, const double *r, const double *kept, const double *n, double *C,
                             double *E) {
-  const double *V = kept, *f2 = V + 2*DIM*DIM;
+  const double *V = kept, *f2 = V + 2*DIM*DIM + DIM;
   double N[DIM][DIM];
   for (int a = 0; a < DIM; a++) for (int b = 0; b < DIM; b++) {
     N[a][b] = 0;
@@ -118,4 +130,38 @@ static void spectral_second(const double *parameters, const double *r, const dou
     int p = i > k ? i*(i+1)/2 + k : k*(k+1)/2 + i, q = k > j ? k*(k+1)/2 + j : j*(j+1)/2 + k;
     double c = N[i][j]*f2[(i*DIM+k)*DIM+j];
     C[p*SPECTRAL_N+q] += c; C[q*SPECTRAL_N+p] += c; }
+}
+
+/* Traces of powers, r_e = tr A^a_e. parameters: how many, the exponents. Kept: V, eigenvalues x, and of each power
+   f = x^a f'(x_i), f'[x_i, x_j] of pairs. To second order r is sum_i f'(x_i) D_ii + sum_ij f'[x_i, x_j] D_ij^2 / 2. */
+#define TRACES_KEPT (DIM + SPECTRAL_N)
+
+static void traces_value(const double *parameters, const double *A, double *r, double *kept, const double *like) {
+  double *V = kept, *x = V + DIM*DIM, *f1 = x + DIM, gap[SPECTRAL_N], log_ratio[SPECTRAL_N];
+  decompose(A, V, x, like);
+  for (int i = 0, m = 0; i < DIM; i++) for (int j = 0; j <= i; j++, m++) {
+    gap[m] = (x[i] - x[j])/x[j];
+    log_ratio[m] = i == j ? 0 : log1p(gap[m]); }
+  for (int e = 0; e < (int)parameters[0]; e++, f1 += TRACES_KEPT) {
+    double a = parameters[1+e], f[DIM];
+    r[e] = 0;
+    for (int i = 0; i < DIM; i++) { f[i] = pow(x[i], a); r[e] += f[i]; f1[i] = a*f[i]/x[i]; }
+    for (int i = 0, m = 0; i < DIM; i++) for (int j = 0; j <= i; j++, m++) /* exact for close ones too */
+      f1[DIM+m] = f1[j]/x[j]*(gap[m] == 0 ? a - 1 : expm1((a - 1)*log_ratio[m])/gap[m]); }
+}
+
+static void traces_first(const double *parameters, const double *r, const double *kept, double *G, double *L) {
+  const double *f1 = kept + DIM*DIM + DIM;
+  turn(kept, L);
+  for (int e = 0; e < (int)parameters[0]; e++, f1 += TRACES_KEPT)
+    for (int a = 0, m = 0; a < DIM; a++) for (int b = 0; b <= a; b++, m++) G[e*SPECTRAL_N+m] = a == b ? f1[a] : 0;
+}
+
+static void traces_second(const double *parameters, const double *r, const double *kept, const double *n, double *C,
+                          double *E) {
+  const double *f1 = kept + DIM*DIM + DIM;
+  for (int i = 0; i < SPECTRAL_N*SPECTRAL_N; i++) C[i] = E[i] = 0;
+  for (int e = 0; e < (int)parameters[0]; e++, f1 += TRACES_KEPT)
+    for (int a = 0, m = 0; a < DIM; a++) for (int b = 0; b <= a; b++, m++)
+      C[m*SPECTRAL_N+m] += n[e]*f1[DIM+m]*(a == b ? 1 : 2);
 }

@@ -12,7 +12,7 @@ import ufl
 from ufl.core.expr import Expr
 
 from forms.materials.base import Material, constant, plane_strain
-from forms.spectral import power
+from forms.spectral import traces_of_powers
 
 
 def _volumetric(J: Expr, mu: Expr, lam: Expr) -> Expr:
@@ -88,8 +88,9 @@ class Ogden(Material):
         """Return Ψ(S) [J/m³]."""
         J = ufl.det(S)
         energy = _volumetric(J, mu, lam)
-        for alpha, weight in zip(self.exponents, self.weights, strict=True):
+        traces = traces_of_powers(S, self.exponents)
+        for p, (alpha, weight) in enumerate(zip(self.exponents, self.weights, strict=True)):
             a, w = constant(S, alpha), constant(S, weight)
-            trace = J ** (-a / 3) * (ufl.tr(power(S, alpha)) + plane_strain(S))
+            trace = J ** (-a / 3) * (traces[p] + plane_strain(S))
             energy += 2 * mu * w / a**2 * (trace - 3)
         return energy

@@ -75,11 +75,6 @@ class Slot:
         """How many numbers they are."""
         return int(self.element.dim)
 
-    def components(self, e: Expr) -> list[Expr]:
-        """The numbers of an expression of this slot's shape, in the order of their numbering."""
-        every = np.ndindex(*self.shape)
-        return [e[i] if i else e for i in every if not self.symmetric or i[0] >= i[1]]
-
 
 @dataclass(eq=False)
 class PointFunction(Slot):
@@ -88,10 +83,12 @@ class PointFunction(Slot):
     Attributes:
         source: The `CellData` that stand for it, None for a part of the density.
         argument: What it is a function of, or this part, in slots.
+        symmetric_argument: Whether that is a symmetric tensor.
         unit: The slot whose change is that of the argument, if there is one.
         linear: Whether its second derivative counts as zero.
         code: Its C source, None where it is the argument itself.
         stem: What the names of its C functions begin with.
+        entries: The numbers of the argument.
         frozen: Whether its derivative counts as zero.
         rank: That of its derivative.
         kept: How many numbers its C functions keep of a point.
@@ -99,6 +96,7 @@ class PointFunction(Slot):
     """
 
     argument: Expr = field(kw_only=True)
+    symmetric_argument: bool = field(kw_only=True)
     unit: Slot | None = field(kw_only=True)
     linear: bool = field(kw_only=True, default=False)
 
@@ -106,11 +104,18 @@ class PointFunction(Slot):
         super().__post_init__()
         data = self.source if isinstance(self.source, CellData) else None
         self.code = data.code if data else None
-        self.stem = self.code.stem if self.code else ""
+        self.stem = (data.stem if data else "") or (self.code.stem if self.code else "")
         self.frozen = data is not None and data.code is None
         self.rank = data.rank if data else self.size
         self.kept = data.kept if data else 0
         self.parameters = data.parameters if data else ()
+        self.entries = _components(self.argument, self.symmetric_argument)
+
+
+def _components(e: Expr, symmetric: bool) -> list[Expr]:
+    """The numbers of an expression in the order of their numbering, of a tensor by rows."""
+    every = np.ndindex(*e.ufl_shape)
+    return [e[i] if i else e for i in every if not symmetric or i[0] >= i[1]]
 
 
 def coefficients(e: Expr) -> list[fem.Function]:
@@ -169,7 +174,7 @@ class Slots:
         if isinstance(e, Variable):
             operand, label = e.ufl_operands
             if isinstance(label, CellFunction) and self._moves(label.data):
-                return self._function(label.data)
+                return self._function(label.data, operand.ufl_shape)
             if isinstance(label, Intermediate | Linearised) and not self._fields.isdisjoint(
                 coefficients(operand)
             ):
@@ -200,7 +205,13 @@ class Slots:
     def _part(self, e: Expr, *, linear: bool) -> Expr:
         argument, symmetric = self.of(e), _is_symmetric(e)
         part = PointFunction(
-            None, e.ufl_shape, symmetric, argument=argument, unit=None, linear=linear
+            None,
+            e.ufl_shape,
+            symmetric,
+            argument=argument,
+            symmetric_argument=symmetric,
+            unit=None,
+            linear=linear,
         )
         return self.found.setdefault((argument, linear), part).coefficient
 
@@ -208,14 +219,15 @@ class Slots:
         """Whether data depend on the fields."""
         return not self._fields.isdisjoint(coefficients(data.argument))
 
-    def _function(self, data: CellData) -> Expr:
+    def _function(self, data: CellData, shape: tuple[int, ...]) -> Expr:
         argument, symmetric = self.of(data.argument), data.code is not None and data.symmetric
         return self._slot(
             PointFunction(
                 data,
-                data.argument.ufl_shape,
-                symmetric,
+                shape,
+                symmetric and len(shape) == 2,
                 argument=argument,
+                symmetric_argument=symmetric,
                 unit=self._unit(argument, symmetric),
             )
         )
@@ -236,7 +248,7 @@ class Slots:
         if isinstance(f, CellData) and self._moves(f):
             if f.code is not None or gradient:
                 raise NotPointwise(f"it has a derivative of the function of {f.argument}")
-            return self._function(f)
+            return self._function(f, f.argument.ufl_shape)
         element = f.ufl_element()
         if gradient and element.has_custom_quadrature:
             raise NotPointwise(f"it has the gradient of {f.name}, which is known at points only")

@@ -83,7 +83,7 @@ class Source:
             "COLUMNS": 4 * (NA // 4 + 1),  # NA + 1, rounded up
             "WIDTH": 4 * (first // 4 + 1),
             "SHARED": sum(row[3] < shared for row in self.arguments),
-            "MULTIPLIERS": sum(f.size for f in self._multiplied),
+            "MULTIPLIERS": sum(len(f.entries) for f in self._multiplied),
             "RANK": max([1, *(f.rank for f in density.functions)]),
         }
         self.sizes["KEPT"] = (
@@ -112,7 +112,7 @@ class Source:
     def _make_forms(self) -> dict[str, ufl.Form]:
         """What FFCx is to compile, by the name that `point.c` has for it."""
         density = self._density
-        vectors = {f: _vector(f.size) for f in self._multiplied}
+        vectors = {f: _vector(len(f.entries)) for f in self._multiplied}
         y, parts = _together(s.element for s in density.unknowns)
         data = [*(s.coefficient for s in density.data), *vectors.values()]
         data_parts = _together(c.ufl_element() for c in data)[1] if data else []
@@ -129,11 +129,10 @@ class Source:
         forms = {"ENERGY": density.expression * dx}
         whole = density.expression
         for k, f in enumerate(density.functions):
-            components = f.components(f.argument)
-            test = ufl.TestFunction(_vector(f.size).ufl_function_space())
-            forms[f"ARGUMENT_{k}"] = sum(a * test[i] for i, a in enumerate(components)) * dx
+            test = ufl.TestFunction(_vector(len(f.entries)).ufl_function_space())
+            forms[f"ARGUMENT_{k}"] = sum(a * test[i] for i, a in enumerate(f.entries)) * dx
             if f in vectors and not f.linear:
-                whole += sum(vectors[f][i] * a for i, a in enumerate(components))
+                whole += sum(vectors[f][i] * a for i, a in enumerate(f.entries))
         forms = {name: ufl.replace(form, renamed) for name, form in forms.items()}
         for k, f in enumerate(density.functions):
             if f in vectors:
@@ -198,6 +197,7 @@ class Source:
         kept_of: dict[tuple[Path | None, Expr], str] = {}
         for k, f in enumerate(self._density.functions):
             n, r, rank, first = f.size, self._place[f], f.rank, self._first(f)
+            m = len(f.entries)
             if not f.stem:
                 values.append(f"for (int i = 0; i < {n}; i++) y[{r}+i] = 0;")
                 values.append(f"ARGUMENT_{k}(y + {r}, y, c);")
@@ -205,42 +205,43 @@ class Source:
                 continue
             start = end = ""
             if not f.unit:
-                start = f"double J[{n}*NY] = {{0}}; JACOBIAN_{k}(J, y, c); "
-            where = f"{r}, {n}, {rank}, {first}, {n}, {'0' if f.unit else 'J'}"
+                start = f"double J[{m}*NY] = {{0}}; JACOBIAN_{k}(J, y, c); "
+            where = f"{r}, {n}, {rank}, {first}, {m}, {'0' if f.unit else 'J'}"
             derivatives, second = "0, 0", "0, 0"
             if f.stem:
                 own = f"parameters_{k}, y + {r}, kept + {kept}"
-                values.append(f"{{ double a[{n}] = {{0}}; ARGUMENT_{k}(a, y, c);")
+                values.append(f"{{ double a[{m}] = {{0}}; ARGUMENT_{k}(a, y, c);")
                 like = kept_of.get((f.code, f.argument), "0")
                 kept_of[f.code, f.argument] = f"kept + {kept}"
                 values.append(
                     f"  {f.stem}_value(parameters_{k}, a, y + {r}, kept + {kept}, {like}); }}"
                 )
-                start += f"double G[{n * rank}], L[{n * rank}]; {f.stem}_first({own}, G, L); "
+                start += f"double G[{n * rank}], L[{m * rank}]; {f.stem}_first({own}, G, L); "
                 end = (
-                    f"double C[{rank**2}], E[{n * rank}];"
+                    f"double C[{rank**2}], E[{m * rank}];"
                     f" {f.stem}_second({own}, kept + NR + {r} - NZ, C, E); "
                 )
                 derivatives, second = "G, L", "C, E"
                 parameters = _braces(f.parameters)
                 tables.append(f"static const double parameters_{k}[] = {parameters};")
-            m = "own" if f.unit else f"y + {multiplier}"
+            multipliers = "own" if f.unit else f"y + {multiplier}"
             pull = f"{where}, {derivatives}"
             if f.linear:
                 pull = (
-                    f"for (int i = 0; i < {n}; i++) {{ once[{r}+i] += g[{r}+i]; ({m})[i] = 0; }}"
+                    f"for (int i = 0; i < {n}; i++)"
+                    f" {{ once[{r}+i] += g[{r}+i]; ({multipliers})[i] = 0; }}"
                     f" pull_back(once, {pull}, own);"
                 )
             elif linear:
-                pull = f"pull_back(once, {pull}, own); pull_back(g, {pull}, {m});"
+                pull = f"pull_back(once, {pull}, own); pull_back(g, {pull}, {multipliers});"
             else:
-                pull = f"pull_back(g, {pull}, {m});"
-            pulls.append(f"{{ {start}double own[{n}]; {pull} }}")
+                pull = f"pull_back(g, {pull}, {multipliers});"
+            pulls.append(f"{{ {start}double own[{m}]; {pull} }}")
             chains.append(
                 f"{{ {start}{end}chain(H, rows_{k}, {where}, {derivatives}, {second}); }}"
             )
             kept += f.kept
-            multiplier += 0 if f.unit else n
+            multiplier += 0 if f.unit else m
         # The last function first, whose argument may have others in it.
         for k, f in reversed(list(enumerate(self._density.functions))):
             if not f.frozen:

@@ -21,7 +21,7 @@ from forms import (
     refresh,
     right_stretch,
 )
-from forms.spectral import exp, log, power
+from forms.spectral import exp, log, power, traces_of_powers
 from tests.states import random_values, small_mesh
 
 E, NU = 10.0, 0.3
@@ -225,6 +225,10 @@ def test_tensor_functions(d):
         expected = np.einsum("nik,nk,njk->nij", V, f(lam), V)
         scale = np.maximum(np.abs(expected).max(axis=(1, 2)), 1.0)[:, None, None]
         np.testing.assert_allclose(H[:, k] / scale, expected / scale, rtol=0, atol=1e-12)
+    exponents = (1.3, 5.0, -2.0)
+    traces = cells.compile(traces_of_powers(cells.S, exponents))()
+    expected = np.stack([np.sum(lam**a, axis=1) for a in exponents], axis=1)
+    np.testing.assert_allclose(traces, expected, rtol=1e-11)
 
 
 def test_undefined_is_nan_on_its_own_cell():

@@ -28,6 +28,7 @@ CODE = """
                 double *C, double *E) { NAME##_second(p, r, kept, n, C, E); }
 OF(polar)
 OF(spectral)
+OF(traces)
 """
 DECLARATIONS = "".join(
     f"""
@@ -35,7 +36,7 @@ void {name}(const double *, const double *, double *, double *);
 void {name}_1(const double *, const double *, const double *, double *, double *);
 void {name}_2(const double *, const double *, const double *, const double *, double *, double *);
 """
-    for name in ("polar", "spectral")
+    for name in ("polar", "spectral", "traces")
 )
 
 KEPT = 2 * 3**2 + 3**3 + 3  # of spectral.h
@@ -55,12 +56,12 @@ def library(tmp_path_factory):
 class Function:
     """A function of a point, with its derivatives put together from their factors."""
 
-    def __init__(self, library, name, size, rank, kept, parameters=(0.0,)):
+    def __init__(self, library, name, size, rank, kept, parameters=(0.0,), arguments=None):
         self._ffi, code = library
         self._value, self._first, self._second = (
             getattr(code, f"{name}{suffix}") for suffix in ("", "_1", "_2")
         )
-        self.size, self.rank = size, rank
+        self.size, self.rank, self.arguments = size, rank, arguments or size
         self._kept, self._parameters = np.zeros(kept), np.array(parameters)
 
     def _call(self, function, *arrays):
@@ -73,17 +74,17 @@ class Function:
         return self.r
 
     def first(self, a):
-        """∂r/∂a = G L, shape (size, size)."""
+        """∂r/∂a = G L, shape (size, arguments)."""
         self.value(a)
-        G, L = np.empty((self.size, self.rank)), np.empty((self.rank, self.size))
+        G, L = np.empty((self.size, self.rank)), np.empty((self.rank, self.arguments))
         self._call(self._first, self._parameters, self.r, self._kept, G, L)
         self.L = L
         return G @ L
 
     def second(self, a, n):
-        """∂²(n · r)/∂a² = Lᵀ C L + Eᵀ L + Lᵀ E, shape (size, size)."""
+        """∂²(n · r)/∂a² = Lᵀ C L + Eᵀ L + Lᵀ E, shape (arguments, arguments)."""
         self.first(a)
-        C, E = np.empty((self.rank, self.rank)), np.empty((self.rank, self.size))
+        C, E = np.empty((self.rank, self.rank)), np.empty((self.rank, self.arguments))
         self._call(self._second, self._parameters, self.r, self._kept, n, C, E)
         return self.L.T @ C @ self.L + E.T @ self.L + self.L.T @ E
 
@@ -100,7 +101,7 @@ def check_derivatives(function, a, step, tolerance):
     n = rng.normal(size=function.size)
     J, H = function.first(a), function.second(a, n)
     for _ in range(2):
-        d = rng.normal(size=function.size)
+        d = rng.normal(size=function.arguments)
         d /= np.linalg.norm(d)
         wanted = difference(lambda x: function.value(x).copy(), a, d, step)
         np.testing.assert_allclose(J @ d, wanted, rtol=0, atol=tolerance * np.abs(J).max())
@@ -256,6 +257,31 @@ def test_functions_of_tensors(library, name, eigenvalues):
         change = V @ (first * (V.T @ D @ V)) @ V.T
         np.testing.assert_allclose(J[:, k], change[LOWER], rtol=0, atol=1e-13 * largest(first))
     check_derivatives(function, A[LOWER], 2e-3 * lam.min(), 1e-8)
+
+
+@pytest.mark.parametrize("eigenvalues", EIGENVALUES)
+def test_traces_of_powers(library, eigenvalues):
+    """Σ λᵃ; the first derivative a Aᵃ⁻¹, the second as that of this function of A."""
+    exponents = (1.3, 5.0, -2.0, 1.0)
+    parameters = (4.0, *exponents)
+    function = Function(library, "traces", 4, 6, 9 + 3 + 4 * 9, parameters, arguments=6)
+    lam = np.array(EIGENVALUES[eigenvalues])
+    V, _ = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))
+    A = ((V * lam) @ V.T)[LOWER]
+    traces = [np.sum(lam**a) for a in exponents]
+    np.testing.assert_allclose(function.value(A), traces, rtol=1e-13)
+    twice = np.where(LOWER[0] == LOWER[1], 1.0, 2.0)  # an entry off the diagonal stands for two
+    for k, a in enumerate(exponents):
+        slope = ((V * (a * lam ** (a - 1.0))) @ V.T)[LOWER] * twice
+        np.testing.assert_allclose(
+            function.first(A)[k], slope, rtol=0, atol=1e-13 * largest(slope) * lam.max() / lam.min()
+        )
+        power = Function(library, "spectral", 6, 6, KEPT, (2.0, a - 1.0))
+        curvature = a * twice[:, None] * power.first(A)
+        np.testing.assert_allclose(
+            function.second(A, np.eye(4)[k]), curvature, rtol=0, atol=1e-12 * largest(curvature)
+        )
+    check_derivatives(function, A, 2e-3 * lam.min(), 1e-8)
 
 
 def test_functions_without_a_value(library):
