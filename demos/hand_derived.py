@@ -109,7 +109,6 @@ T = TestFunction(Lam.function_space)
 v, dS, dLam = (TestFunction(f.function_space) for f in (u, S, Lam))
 du, ds = (TrialFunction(f.function_space) for f in (u, S))
 F = deformation_gradient(u)
-
 agree("(4) J_K x", V_3 * F_K, array(inner(F, T) * dx, Lam))
 agree("(4) J_K", V_3 * J, array(inner(derivative(F, u, du), T) * dx, Lam, u))
 
@@ -126,19 +125,14 @@ agree("(4) J_K", V_3 * J, array(inner(derivative(F, u, du), T) * dx, Lam, u))
 # its first two derivatives; UFL knows nothing of singular values.
 
 # %%
-U, sigma, Vt = np.linalg.svd(F_K)
-for factor, last in ((U, U[:, :, 2]), (Vt, Vt[:, 2, :])):
-    sign = np.sign(np.linalg.det(factor))
-    last *= sign[:, None]
-    sigma[:, 2] *= sign
-R_K = U @ Vt
-P = np.einsum("nka,nbl->nabkl", U, Vt)
+U, sigma, V_F = hand.signed_svd(F_K)
+R_K = U @ np.swapaxes(V_F, 1, 2)
+P = np.einsum("nka,nlb->nabkl", U, V_F)
 sums = (sigma[:, :, None] + sigma[:, None, :])[..., None, None]
-dR = np.einsum("nia,nabkl,nbj->nijkl", U, (P - np.swapaxes(P, 1, 2)) / sums, Vt)
+dR = np.einsum("nia,nabkl,njb->nijkl", U, (P - np.swapaxes(P, 1, 2)) / sums, V_F)
 dR_9 = dR.reshape(n, 9, 9)
 
 R = polar_rotation(deformation_gradient(u))
-
 agree("(14) R_K", V_3 * R_K, array(inner(R, T) * dx, Lam))
 agree("(15) ∂R_K/∂x", V_3 * (dR_9 @ J), array(inner(derivative(R, u, du), T) * dx, Lam, u))
 
@@ -154,7 +148,6 @@ W_K = np.einsum("nim,kmj->nijk", R_K, B).reshape(n, 9, 6)
 W_hat = np.einsum("nimpq,kmj->npqijk", dR, B).reshape(n, 9, 9, 6)
 
 VW = scipy.linalg.block_diag(*(V_3 * W_K))
-
 agree("(3) vec(R S)", VW @ s_K.ravel(), array(inner(R * S, T) * dx, Lam))
 agree("(16) W_K", VW, array(inner(R * ds, T) * dx, Lam, S))
 for k in range(6):
@@ -191,7 +184,6 @@ scheme = BackwardEuler(u, h, f_ext.tolist())
 assembler.put(scheme.v, velocity)
 kinetic = scheme.kinetic(rho) * dx
 energy = (psi(S) - inner(Lam, R * S - F)) * dx + kinetic
-
 agree("(2) energy", E_M + E_Psi - E_Lambda, array(energy))
 
 # %% [markdown]
@@ -211,7 +203,6 @@ E_s = np.einsum("n,nik,ni->nk", V, W_K, lam_K)
 
 dE_dx, dE_ds, dE_dlam = (derivative(energy, *p) for p in ((u, v), (S, dS), (Lam, dLam)))
 gradient_ufl = [array(dE_dx, u), array(dE_ds, S), array(dE_dlam, Lam)]
-
 agree("(9), (18) ∂E/∂x", g_x - E_x, gradient_ufl[0])
 agree("(10), (19) ∂E/∂s", V[:, None] * g_K - E_s, gradient_ufl[1])
 agree("(20) ∂E/∂λ", -V[:, None] * c_K, gradient_ufl[2])
@@ -235,7 +226,6 @@ F_ufl = array(derivative(dE_ds, u, du), S, u)
 G_ufl = array(derivative(dE_dlam, u, du), Lam, u)
 D_ufl = array(derivative(dE_dlam, S, ds), Lam, S)
 H_ufl = array(derivative(dE_ds, S, ds), S, S)
-
 agree("(23), (32) F", F_block, F_ufl)
 agree("(22), (33) G", G_block, G_ufl)
 agree("(21), (34) D", D_block, D_ufl)
@@ -260,7 +250,6 @@ S_F = np.swapaxes(R_K, 1, 2) @ F_K
 T_K = np.einsum("aij,bik,nkj->nab", spins, spins, S_F)
 RE = np.einsum("nik,akj->naij", R_K, spins).reshape(n, 3, 9)
 Omega = np.linalg.solve(T_K, RE)
-
 agree("(15) once more", np.swapaxes(RE, 1, 2) @ Omega, dR_9)
 
 # %% [markdown]
@@ -277,7 +266,6 @@ M_K = np.swapaxes(R_K, 1, 2) @ B_K
 q = np.linalg.solve(T_K, np.einsum("aij,nij->na", spins, M_K)[..., None])[..., 0]
 Q = np.einsum("na,aij->nij", q, spins)
 assert np.allclose(Q @ S_F + S_F @ Q, M_K - np.swapaxes(M_K, 1, 2))
-
 agree("(18) once more", np.einsum("n,nip,ni->p", V, J, (R_K @ Q - Lam_K).reshape(n, 9)), E_x)
 
 # %% [markdown]
@@ -300,7 +288,6 @@ ell = np.einsum("aiq,nik,npk->napq", spins, Q, R_K).reshape(n, 3, 9)
 across = np.einsum("nap,naq->npq", Omega, ell)
 second = np.einsum("nap,nab,nbq->npq", Omega, N, Omega) - across - np.swapaxes(across, 1, 2)
 E_xx = np.einsum("n,nip,nij,njq->pq", V, J, second, J)
-
 agree("(24) ∂²E/∂x²", M / h**2 - E_xx, array(derivative(dE_dx, u, du), u, u))
 
 # %% [markdown]
@@ -325,7 +312,6 @@ rhs = np.concatenate([-g_x, -(V[:, None] * g_K).ravel(), (V[:, None] * c_K).rave
 M_ufl = array(derivative(derivative(kinetic, u, v), u, du), u, u)
 matrix_ufl = np.block([[M_ufl, F_ufl.T, G_ufl.T], [F_ufl, H_ufl, D_ufl.T], [G_ufl, D_ufl, zero]])
 old = np.concatenate([np.zeros(X.size + 6 * n), lam_K.ravel()])
-
 agree("(35) matrix", matrix, matrix_ufl)
 agree("(35) right-hand side", rhs, matrix_ufl @ old - np.concatenate(gradient_ufl))
 
@@ -343,7 +329,6 @@ reduced = np.block([[M_tilde, J_tilde.T], [J_tilde, -D_block @ H_inv @ D_block.T
 is_s = np.repeat([False, True, False], [X.size, 6 * n, 9 * n])
 rows, s_rows = matrix_ufl[~is_s], matrix_ufl[is_s]
 schur = rows[:, ~is_s] - rows[:, is_s] @ np.linalg.solve(s_rows[:, is_s], s_rows[:, ~is_s])
-
 agree("(39)-(41) reduced matrix", reduced, schur)
 
 # %% [markdown]
@@ -407,7 +392,6 @@ assert residuals[-1] < 1e-9 * residuals[0]
 
 if comm.rank == 0:
     print("residual of each iteration:", ", ".join(f"{r:.1e}" for r in residuals))
-
 agree("step: x", system.state.x.ravel(), X.ravel() + assembler.values(u), tolerance=1e-9)
 agree("step: s", system.s.ravel(), assembler.values(S), tolerance=1e-9)
 agree("step: λ", system.lam, assembler.values(Lam), tolerance=1e-9)
@@ -415,9 +399,9 @@ agree("step: λ", system.lam, assembler.values(Lam), tolerance=1e-9)
 # %% [markdown]
 # ## Errata
 #
-# `mixed-fem compare` repeats these comparisons for every equation, material and formulation, on
-# triangles too, at rest, feasible, infeasible and with inverted cells. With `--equation 24` it
-# shows one: as in the seed, as it should be, why, and the numbers. What needs a correction:
+# `mixed-fem compare` repeats this for every equation, material, formulation and kind of state, on
+# triangles too; with `--equation 24` it shows one, as in the seed and as it should be, and why.
+# What needs a correction:
 
 # %%
 wrong = [f"({e.number}) {e.states}" for e in hand.ERRATA if e.verdict == "corrected"]

@@ -107,7 +107,7 @@ class Body:
         element = V.element.basix_element
         if element.discontinuous or element.degree != 1:
             raise ValueError("expected a continuous piecewise linear space on the body's mesh")
-        blocks, nodes = self._vertex_blocks(V)
+        blocks, nodes = selection.vertex_blocks(V)
         numbers = np.empty(len(self.mesh.geometry.x), dtype=np.int64)
         numbers[blocks] = self.mesh.geometry.input_global_indices[nodes]
         return numbers
@@ -153,7 +153,7 @@ class Body:
             blocks = V.dofmap.list[: len(self.file_cells), 0]
             values = rows[blocks].reshape(-1, *shape)
             return self._collect(self.file_cells, values, self.num_cells, everywhere)
-        blocks, nodes = self._vertex_blocks(V)
+        blocks, nodes = selection.vertex_blocks(V)
         owned = blocks < index_map.size_local
         blocks, first = np.unique(blocks[owned], return_index=True)
         numbers = self.mesh.geometry.input_global_indices[nodes[owned][first]]
@@ -215,7 +215,7 @@ class Body:
         found = selection.select(self.mesh, self.groups, where)
         d = self.mesh.topology.dim
         if found.dim is None and V.element.basix_element.degree == 1:
-            blocks, nodes = self._vertex_blocks(V)
+            blocks, nodes = selection.vertex_blocks(V)
             return np.unique(blocks[found.vertices[nodes]]).astype(np.int32)
         facets = selection.skin(self.mesh, found)
         if found.dim is not None:
@@ -379,23 +379,10 @@ class Body:
         V = functionspace(self.mesh, ("P", 1))
         chosen = self.dofs(V, where)
         chosen = chosen[chosen < V.dofmap.index_map.size_local]
-        blocks, _ = self._vertex_blocks(V)
+        blocks, _ = selection.vertex_blocks(V)
         found, first = np.unique(blocks, return_index=True)
         cells, vertices = np.divmod(first[np.isin(found, chosen)], V.dofmap.list.shape[1])
         return np.stack([cells, vertices], axis=1).astype(np.int32).ravel()
-
-    def _vertex_blocks(
-        self, V: FunctionSpace[Any]
-    ) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
-        """Pairs of a block of degrees of freedom and its vertex, cell by cell with repetitions."""
-        element = V.element.basix_element
-        if element.discontinuous or element.degree < 1:
-            raise ValueError("expected a continuous Lagrange space on the body's mesh")
-        nodes = self.mesh.geometry.dofmaps[0]
-        # Both layouts list the vertices of a cell in the same order, so cells pair them.
-        layout = V.dofmap.dof_layout
-        corners = [layout.entity_dofs(0, vertex)[0] for vertex in range(nodes.shape[1])]
-        return V.dofmap.list[:, corners].ravel(), nodes.ravel()
 
     def _collect(self, numbers: Integers, rows: Array, size: int, everywhere: bool) -> Array | None:
         """Put rows that the ranks own in their places in the file."""

@@ -220,3 +220,21 @@ def _carriers(msh: Mesh[np.float64], dim: int, members: Integers) -> npt.NDArray
     _, place = np.unique(np.concatenate([wanted, rows]), axis=0, return_inverse=True)
     place = place.ravel()
     return every[near[np.isin(place[len(wanted) :], place[: len(wanted)])]]
+
+
+def vertex_blocks(
+    V: FunctionSpace[Any],
+) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
+    """Pairs of a block of degrees of freedom and its vertex, cell by cell with repetitions.
+
+    Args:
+        V: A continuous Lagrange space.
+    """
+    element = V.element.basix_element
+    if element.discontinuous or element.degree < 1:
+        raise ValueError("expected a continuous Lagrange space on the body's mesh")
+    nodes = V.mesh.geometry.dofmaps[0]
+    # Both layouts list the vertices of a cell in the same order, so cells pair them.
+    layout = V.dofmap.dof_layout
+    corners = [layout.entity_dofs(0, vertex)[0] for vertex in range(nodes.shape[1])]
+    return V.dofmap.list[:, corners].ravel(), nodes.ravel()

@@ -18,6 +18,7 @@ from solvers.domain import Domain, relaxed_on_the_way
 from solvers.interruption import Guard
 from solvers.lifetime import weakly
 from solvers.linear import LINEAR_REASONS, LinearSolver, names_of
+from solvers.monitor import Printer
 from solvers.result import History
 from solvers.scaling import equilibrate
 from solvers.systems import System
@@ -60,6 +61,7 @@ class Newton:
         self._continued = False
         self._domain = Domain(system, weakly(self.vector), weakly(self.note))
         self._scaled = False
+        self._printer = Printer(system)
         self._before = [np.empty_like(f.x.array) for f in system.fields]
         self._begin_pass(np.inf, forced=False)
         snes, A = self.snes, system.A
@@ -84,9 +86,9 @@ class Newton:
     def monitor(self, *, newton: bool, krylov: bool) -> None:
         """Print the residual norm of each field at each Newton iteration, at each Krylov one."""
         if newton:
-            self.snes.setMonitor(self.guard.callback(self._print_newton))
+            self.snes.setMonitor(self.guard.callback(self._printer.newton))
         if krylov:
-            self.snes.getKSP().setMonitor(self.guard.callback(self._print_krylov))
+            self.snes.getKSP().setMonitor(self.guard.callback(self._printer.krylov))
 
     def begin(self) -> None:
         """Begin a solve from the present values of the fields. Collective."""
@@ -199,14 +201,9 @@ class Newton:
 
     def _growth_told(self) -> str:
         """Which field's residual has grown how much in the last pass."""
-        last = {
-            f.name: self.history.norms[-1][f.name] * scale
-            for f, scale in zip(self.system.fields, self.system.unknowns.scales, strict=True)
-        }
-        times = self._pass[-1] / self._pass[0]
-        return (
-            f"the residual has grown {times:.1e} times, most in {max(last, key=lambda n: last[n])}"
-        )
+        last = self.history.norms[-1]
+        worst = list(last)[np.argmax([*last.values()] * self.system.unknowns.scales)]
+        return f"the residual has grown {self._pass[-1] / self._pass[0]:.1e} times, most in {worst}"
 
     def _pass_to(self, end: int, growth: float, *, forced: bool) -> None:
         """Iterate to some number of iterations of the solve at most."""
@@ -329,6 +326,8 @@ class Newton:
             # Rounding error of a stiff part may hide the forces on a soft one, and its motion.
             still = norm == 0.0 and not self._forced
             return Reason.CONVERGED_FNORM_ABS if still else Reason.CONVERGED_ITERATING
+        update = self.snes.getSolutionUpdate()
+        self._steps.append(self.system.unknowns.largest_move(update) / self.size)
         if norm < given:
             return Reason.CONVERGED_FNORM_ABS
         if norm < atol and (reason := self._rests()):
@@ -353,8 +352,8 @@ class Newton:
             The reason to stop, or 0.
         """
         steps = self._steps
-        steps.append(self.system.unknowns.largest_move(self.snes.getSolutionUpdate()) / self.size)
-        if steps[-1] > defaults.SETTLED and (len(steps) < 2 or steps[-1] < steps[-2] / 2):
+        settled = min(defaults.SETTLED, defaults.LAST_STEP * max(steps[:-1], default=np.inf))
+        if steps[-1] > settled and (len(steps) < 2 or steps[-1] < steps[-2] / 2):
             return 0
         if steps[-1] < defaults.UNSETTLED:
             return int(Reason.CONVERGED_FNORM_ABS)
@@ -385,18 +384,6 @@ class Newton:
         self.history.krylov.append(outer)
         if inner is not None:
             self.history.inner.append(inner)
-
-    def _print_newton(self, snes: PETSc.SNES, iteration: int, norm: float) -> None:
-        self._print("Newton", iteration, self.system.b)
-
-    def _print_krylov(self, ksp: PETSc.KSP, iteration: int, norm: float) -> None:
-        self._print("  Krylov", iteration, ksp.buildResidual())
-
-    def _print(self, method: str, iteration: int, b: PETSc.Vec) -> None:
-        norms = self.system.unknowns.norms(b)
-        if self.system.unknowns.layout.comm.rank == 0:
-            parts = (f"|r_{name}| {norm:.6e}" for name, norm in norms.items())
-            print(f"{method} {iteration:3d}", *parts, sep="  ", flush=True)
 
 
 def _no_residual(snes: PETSc.SNES, x: PETSc.Vec, b: PETSc.Vec) -> None:

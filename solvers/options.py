@@ -117,6 +117,9 @@ SETTLED = 1e-4
 """Of the body's size, a step below which a body whose forces rounding error hides has come to rest:
 an exact Newton step more would be about the square of that."""
 
+LAST_STEP = 1e-3
+"""Of the largest step before it, the same: what stiff parts hide is then no part of the motion."""
+
 UNSETTLED = 1e-2
 """A step above which rounding error keeps it from coming to rest."""
 

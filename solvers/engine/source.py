@@ -26,7 +26,7 @@ from solvers.engine.slots import POINT, PointFunction
 
 Pattern = npt.NDArray[np.bool_]
 
-_DENSE_H, _POINT_C = (Path(__file__).parent / name for name in ("dense.h", "point.c"))
+_DENSE_H, *_POINT_C = (Path(__file__).parent / name for name in ("dense.h", "point.c", "relax.c"))
 
 
 class Source:
@@ -91,7 +91,7 @@ class Source:
         )
         self._forms = self._make_forms()
         texts = [
-            path.read_text("utf-8") for path in (_DENSE_H, _POINT_C, Path(__file__), *self._codes)
+            path.read_text("utf-8") for path in (_DENSE_H, *_POINT_C, Path(__file__), *self._codes)
         ]
         layout: list[Any] = [self.sizes, self.arguments, self.local]
         layout += [
@@ -184,7 +184,7 @@ class Source:
                 _DENSE_H.read_text("utf-8"),
                 *self._functions(coupled, moved),
                 *self._elimination(coupled),
-                _POINT_C.read_text("utf-8"),
+                *(path.read_text("utf-8") for path in _POINT_C),
             ]
         )
 
