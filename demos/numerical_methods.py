@@ -169,7 +169,8 @@ assert min(iterations(on_demand)) > 5 * max(iterations(mixed))
 #   *kinetic Newton* adds inertia instead; *progressively projected Newton* projects the cells with
 #   the largest forces, as many as needed.
 # - the *watchdog* is ours, for the mixed method too: full steps as long as they get anywhere, a
-#   search on the residual, and then down the energy.
+#   search on the residual, then part by part, and then down the energy.
+# - *continuation* lets in what is out of balance at the start of a step part by part.
 #
 # A very soft body in a long step is where they are needed. Here plain full steps fail, and the
 # displacement's projections on demand are at least as good as the mixed method.

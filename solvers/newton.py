@@ -13,7 +13,6 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
-from solvers import options as defaults
 from solvers.domain import Domain, relaxed_on_the_way
 from solvers.interruption import Guard
 from solvers.lifetime import weakly
@@ -21,14 +20,13 @@ from solvers.linear import LINEAR_REASONS, LinearSolver, names_of
 from solvers.monitor import Printer
 from solvers.result import History
 from solvers.scaling import equilibrate
+from solvers.stopping import Reason, StoppingRule
 from solvers.systems import System
 
 if TYPE_CHECKING:
     from solvers.strategies.base import Strategy
 
 logger = logging.getLogger("mixed_fem")
-
-Reason = PETSc.SNES.ConvergedReason
 
 
 class Newton:
@@ -42,7 +40,6 @@ class Newton:
         reason: PETSc's reason for the end of the last pass.
         failure: What the linear solver says where that is to blame.
         belongings: What is to be destroyed with the problem.
-        size: Of the body [m].
     """
 
     def __init__(self, system: System, linear: LinearSolver, guard: Guard) -> None:
@@ -63,7 +60,10 @@ class Newton:
         self._scaled = False
         self._printer = Printer(system)
         self._before = [np.empty_like(f.x.array) for f in system.fields]
-        self._begin_pass(np.inf, forced=False)
+        self._rule = StoppingRule(self.snes, system.unknowns)
+        self._start: PETSc.Vec | None = None
+        self._withheld = 0.0
+        self._begin_pass()
         snes, A = self.snes, system.A
         # PETSc must not keep this object alive, which keeps PETSc's objects alive.
         snes.setFunction(guard.callback(self._residual, _no_residual), system.b)
@@ -101,8 +101,9 @@ class Newton:
         self.linear.start()
         self.system.unknowns.read(self.system.x)
         unknowns = self.system.unknowns
-        self._floor = unknowns.round_off(self.system.x) if self._exact else 0.0
-        self.size = unknowns.size()
+        self._rule.floor = unknowns.round_off(self.system.x) if self._exact else 0.0
+        self._rule.size = unknowns.size()
+        self._withheld = 0.0
 
     def restart(self, note: str) -> None:
         """Begin again where the solve began, and note why. Collective."""
@@ -162,14 +163,44 @@ class Newton:
         for f, values in zip(self.system.fields, self._before, strict=True):
             f.x.array[:] = values
 
+    @property
+    def size(self) -> float:
+        """Of the body [m]."""
+        return self._rule.size
+
+    def keep_start(self) -> float:
+        """Evaluate the residual where the solve begins, for `withhold`. Collective.
+
+        Returns:
+            Its norm.
+        """
+        if self._start is None:
+            self._start = self.vector()
+        self._residual(self.snes, self.system.x, self._start)
+        return float(self._start.norm())
+
+    def withhold(self, part: float) -> None:
+        """Take a part of the residual that `keep_start` has kept away from all residuals to come.
+
+        Args:
+            part: From 1, with which the start is a solution, to 0.
+        """
+        self._withheld = part
+
     def iterate(
-        self, growth: float = np.inf, *, most: int | None = None, forced: bool = False
+        self,
+        growth: float = np.inf,
+        *,
+        most: int | None = None,
+        enough: float = 0.0,
+        forced: bool = False,
     ) -> bool:
         """Iterate from where the unknowns are to the end. Collective.
 
         Args:
             growth: Of the residual past that of the first iteration, at which to stop.
             most: Iterations, no more than what is left of those of the solve.
+            enough: The residual norm that will do.
             forced: Whether to take an iteration where there is no residual at all.
 
         Returns:
@@ -178,17 +209,17 @@ class Newton:
         self._continued, limit = False, self.snes.getTolerances()[3]
         most = limit if most is None else most
         end = min(limit, max(len(self.history.residuals) - 1, 0) + most)
-        self._pass_to(end, growth, forced=forced)
+        self._pass_to(end, growth=growth, enough=enough, forced=forced)
         while self.reason == Reason.DIVERGED_FUNCTION_NANORINF and self._domain.amend():
             self._continued = True
-            self._pass_to(end, growth, forced=False)
+            self._pass_to(end, growth=growth, enough=enough)
         if self.reason == Reason.DIVERGED_FUNCTION_NANORINF:
             where = self.system.unknowns.not_finite(self.system.b)
             self.failure = f"no finite residual of {where}" if where else ""
             if len(self.history.residuals) <= 1 and where:
                 self.failure += ": is a load, a motion or the state it began from no number?"
-        elif self.reason == Reason.DIVERGED_DTOL and not self.failure:
-            self.failure = self._growth_told()
+        elif self.reason == Reason.DIVERGED_DTOL:
+            self.failure = self._rule.failure or self._growth_told()
         elif self.reason == Reason.DIVERGED_LINEAR_SOLVE:
             self._count()  # of the iteration that did not come to its end
             reason = self.snes.getKSP().getConvergedReason()
@@ -203,12 +234,12 @@ class Newton:
         """Which field's residual has grown how much in the last pass."""
         last = self.history.norms[-1]
         worst = list(last)[np.argmax([*last.values()] * self.system.unknowns.scales)]
-        return f"the residual has grown {self._pass[-1] / self._pass[0]:.1e} times, most in {worst}"
+        return f"the residual has grown {self._rule.growth:.1e} times, most in {worst}"
 
-    def _pass_to(self, end: int, growth: float, *, forced: bool) -> None:
+    def _pass_to(self, end: int, **rule: Any) -> None:
         """Iterate to some number of iterations of the solve at most."""
         snes, x = self.snes, self.system.x
-        self._begin_pass(growth, forced=forced)
+        self._begin_pass(**rule)
         limit = snes.getTolerances()[3]
         snes.setTolerances(max_it=max(end - self._before_pass, 0))
         try:
@@ -250,13 +281,11 @@ class Newton:
         if numbers["scales"] is not None:
             self._set_scales(np.array(numbers["scales"]))
 
-    def _begin_pass(self, growth: float, *, forced: bool) -> None:
-        self._growth, self._forced = growth, forced
+    def _begin_pass(self, **rule: Any) -> None:
+        first = self.history.residuals[0] if self.history.residuals else 0.0
+        self._rule.begin(first=first, **rule)
         self._domain.begin()
         self._before_pass = max(len(self.history.residuals) - 1, 0) + self._continued
-        self._pass: list[float] = []
-        self._steps: list[float] = []
-        self._stagnates = False
         self.halted = 0  # a strategy's reason to end the pass
 
     def _set_scales(self, scales: npt.NDArray[np.float64] | None = None) -> None:
@@ -282,6 +311,8 @@ class Newton:
         """The scaled residual at scaled unknowns."""
         with self.evaluation("residual", x):
             self.system.residual(b)
+        if self._withheld:
+            b.axpy(-self._withheld, self._start)
 
     def _jacobian(self, snes: PETSc.SNES, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
         """The scaled Jacobian at scaled unknowns."""
@@ -306,67 +337,15 @@ class Newton:
     def _test(
         self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]
     ) -> PETSc.SNES.ConvergedReason:
-        """PETSc's own test, with rounding error as the absolute tolerance; and divergence."""
+        """The stopping rule; and what others have against going on."""
         if self.guard.watch():
             return Reason.DIVERGED_FUNCTION_COUNT
-        size, step, norm = norms
-        rtol, given, stol, _ = snes.getTolerances()
-        atol = max(given, self._floor * (defaults.NEAR_ROUND_OFF if self._stagnates else 1.0))
-        first = self.history.residuals[0] if self.history.residuals else norm
-        previous = self._pass[-1] if self._pass else norm
-        self._pass.append(norm)
+        largest = max(self.history.residuals, default=0.0)
+        reason = self._rule.reason(iteration, *norms, largest)
         if iteration == 0:
-            self.linear.target = max(atol, rtol * norm)
-        self._stagnates |= iteration > 1 and self._is_rounding_error(norm, previous)
-        if not np.isfinite(norm):
-            return Reason.DIVERGED_FUNCTION_NANORINF
-        if self.halted:
-            return self.halted
-        if iteration == 0:
-            # Rounding error of a stiff part may hide the forces on a soft one, and its motion.
-            still = norm == 0.0 and not self._forced
-            return Reason.CONVERGED_FNORM_ABS if still else Reason.CONVERGED_ITERATING
-        update = self.snes.getSolutionUpdate()
-        self._steps.append(self.system.unknowns.largest_move(update) / self.size)
-        if norm < given:
-            return Reason.CONVERGED_FNORM_ABS
-        if norm < atol and (reason := self._rests()):
-            return reason
-        if norm <= rtol * first:
-            return Reason.CONVERGED_FNORM_RELATIVE
-        if step < stol * size:
-            return Reason.CONVERGED_SNORM_RELATIVE
-        limit = snes.getDivergenceTolerance()
-        if iteration > 1:
-            limit = min(limit, self._growth * max(1.0, self._pass[1] / self._pass[0]))
-        if norm > limit * self._pass[0]:
-            return Reason.DIVERGED_DTOL
-        return Reason.CONVERGED_ITERATING
-
-    def _rests(self) -> int:
-        """Whether a body whose forces are rounding error no longer moves either. Collective.
-
-        That of a stiff part may hide the forces on a soft one; Newton's steps show them.
-
-        Returns:
-            The reason to stop, or 0.
-        """
-        steps = self._steps
-        settled = min(defaults.SETTLED, defaults.LAST_STEP * max(steps[:-1], default=np.inf))
-        if steps[-1] > settled and (len(steps) < 2 or steps[-1] < steps[-2] / 2):
-            return 0
-        if steps[-1] < defaults.UNSETTLED:
-            return int(Reason.CONVERGED_FNORM_ABS)
-        self.failure = "rounding error of the stiffest part hides the forces on others"
-        return int(Reason.DIVERGED_DTOL)
-
-    def _is_rounding_error(self, norm: float, previous: float) -> bool:
-        """Whether a small residual no longer falls; the next iteration will then be the last."""
-        near = norm <= defaults.NEAR_ROUND_OFF * self._floor
-        if self.snes.getLineSearch().getType() != PETSc.SNESLineSearch.Type.BASIC:
-            # A line search with tiny steps also stagnates, near its start.
-            near = near and norm < defaults.FALLEN * max(self.history.residuals, default=0.0)
-        return near and norm > previous / 2
+            self.linear.target = self._rule.target
+        hindered = self.halted and reason != Reason.DIVERGED_FUNCTION_NANORINF
+        return self.halted if hindered else reason
 
     def _record(self, snes: PETSc.SNES, iteration: int, norm: float) -> None:
         if iteration > 0 or self._continued:

@@ -110,6 +110,18 @@ MOST_FULL_STEPS = 50
 DIVERGING = 100.0
 """Growth of the residual past that of the first iteration that tells full steps diverge."""
 
+FIRST_PART, SMALLEST_PART = 1 / 8, 1 / 256
+"""Of the residual at the start, what a continuation lets in at first, and the least of it."""
+
+WORTH_A_PART = 1 / 16
+"""The least of it where there is an energy to go down on."""
+
+MOST_OF_A_PART, EASY = 7, 3
+"""Newton iterations for a part; and as many as let the next be twice as large."""
+
+CLOSE = 0.1
+"""Of a part, the residual that will do before the next one."""
+
 NEAR_ROUND_OFF = 100.0
 """A residual that stagnates below this multiple of the estimated rounding error has converged."""
 

@@ -1,6 +1,7 @@
 """Strategies that keep Newton's method from diverging."""
 
 from solvers.strategies.base import Strategy
+from solvers.strategies.continuation import Continuation
 from solvers.strategies.descent import (
     AbsoluteNewton,
     Descent,
@@ -28,6 +29,7 @@ STRATEGIES: dict[str, type[Strategy]] = {
     "watchdog": Watchdog,
     "full-steps": FullSteps,
     "residual-search": ResidualSearch,
+    "continuation": Continuation,
     **{strategy.name: strategy for strategy in _DESCENTS},
 }
 """Strategies by name, the default first. The first line of a docstring describes its class."""

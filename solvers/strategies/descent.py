@@ -9,8 +9,9 @@ import numpy as np
 
 from solvers.engine.system import EngineProblem
 from solvers.lifetime import weakly
-from solvers.newton import Newton, Reason
+from solvers.newton import Newton
 from solvers.options import ARMIJO, LAGGED, ROUNDING, SHORTEST
+from solvers.stopping import Reason
 from solvers.strategies.base import Strategy
 
 

@@ -6,24 +6,31 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from solvers.newton import Newton, Reason
-from solvers.options import DOWN, FARTHEST, LONGEST, NOWHERE, UPHILL
+from solvers.newton import Newton
+from solvers.options import DOWN, FARTHEST, LONGEST, NOWHERE, SMALLEST_PART, UPHILL, WORTH_A_PART
+from solvers.stopping import Reason
+from solvers.strategies.continuation import Continuation
 from solvers.strategies.descent import ProjectOnDemand
 from solvers.strategies.full_steps import ResidualSearch
 
 
 class Watchdog(ResidualSearch):
-    """Full steps; a line search on the residual where they diverge; else down the energy.
+    """Full steps; a line search on the residual where they diverge; part by part; down the energy.
+
+    Where residuals lead nowhere, what is out of balance at the start is let in part by part, as
+    long as the parts need not be small (`Continuation`). Then it goes down the energy.
 
     The energy of positions, its cell-local fields where it is stationary in them, is a merit that
-    any system with an energy has. Where residuals lead nowhere, this takes steps of Newton's method
-    on that energy from the start: with the exact tangent, projected on demand. Now and then a few
-    full steps may go uphill; they count if they end lower.
+    any system with an energy has. On it this takes steps of Newton's method from where the parts
+    have led: with the exact tangent, projected on demand. Now and then a few full steps may go
+    uphill; they count if they end lower.
     """
 
     def attach(self, newton: Newton) -> None:
         """Look whether there is an energy to go down on."""
         self._down, self._impatient = None, False
+        self._parts = Continuation()
+        self._parts.attach(newton)
         if newton.system.descends:
             self._down = _Down()
             self._down.attach(newton)
@@ -33,11 +40,19 @@ class Watchdog(ResidualSearch):
         """Iterate. Collective."""
         if super().solve():
             return True
-        if not self._may_search or self._down is None or self.newton.exhausted:
+        if not self._may_search or self.newton.exhausted:
             return False
-        self.newton.restart("residuals lead nowhere: from the start again, down the energy")
+        if self._part_by_part():
+            return True
+        if self._down is None or self.newton.exhausted:
+            return False
+        self.newton.note("parts get small: down the energy")
         self.newton.meet_conditions(self.newton.system.x)
         return self._descend(self._down)
+
+    def _part_by_part(self) -> bool:
+        self.newton.restart("residuals lead nowhere: from the start again, part by part")
+        return self._parts.let_in(SMALLEST_PART if self._down is None else WORTH_A_PART)
 
     def _search(self) -> bool:
         self._norms: list[float] = []
