@@ -10,6 +10,11 @@ INLINE void add(int n, double a, const double *x, double *y) {
   UNROLL for (int i = 0; i < PADDED(n)/4; i++) ((V *)y)[i] += a*((const V *)x)[i];
 }
 
+/* y = x. Vector by vector: what has just been stored in vectors is soon to be had in the same ones only. */
+INLINE void copy(int n, const double *x, double *y) {
+  UNROLL for (int i = 0; i < PADDED(n)/4; i++) ((V *)y)[i] = ((const V *)x)[i];
+}
+
 /* Solves A X = B in place, n rows, A symmetric, m columns of B. Returns whether A is singular. */
 INLINE int solve(int n, int m, double *A, int lda, double *B, int ldb, double *scale, int *order, double *X) {
   /* Equilibration of a symmetric matrix (Bunch, J. ACM 18, 1971), whatever the units of its rows. */

@@ -168,6 +168,8 @@ void residual(const Part *part, double *const *r) {
   }
 }
 
+static const double of_arguments[COLUMNS] = {[0 ... NA - 1] = 1};
+
 /* Eliminates the local unknowns: sets `solution` to D^-1 (B, b), of which the last column is given, and A to
    (H - B^T D^-1 B, -B^T D^-1 b) of arguments. */
 INLINE int eliminate(const double *H, double (*solution)[COLUMNS], double (*A)[COLUMNS]) {
@@ -179,15 +181,16 @@ INLINE int eliminate(const double *H, double (*solution)[COLUMNS], double (*A)[C
     if (!(fabs(W) > 0)) return 1;
     inverse[i] = 1/W; b[i] = solution[s][NA];
     add(COLUMNS, inverse[i], H + (NA+m)*NY, x);
-    x[NA] = inverse[i]*solution[m][NA];
-    memcpy(solution[s], x, sizeof x); }
+    copy(COLUMNS, x, solution[s]);
+    solution[s][NA] = inverse[i]*solution[m][NA]; }
   for (int i = 0; i < PAIRS; i++) {
     const double *h = H + (NA+strain[i])*NY;
     double x[COLUMNS] = {0};
-    add(COLUMNS, inverse[i], h, x);
-    x[NA] = inverse[i]*b[i];
     UNROLL for (int j = 0; j < PAIRS; j++) add(COLUMNS, -inverse[i]*h[NA+strain[j]], solution[strain[j]], x);
-    memcpy(solution[multiplier[i]], x, sizeof x); }
+    double last = x[NA] + inverse[i]*b[i];
+    add(COLUMNS, inverse[i], h, x);
+    copy(COLUMNS, x, solution[multiplier[i]]);
+    solution[multiplier[i]][NA] = last; }
 #elif NL
   double D[NL*NL], scale[NL], work[NL*COLUMNS];
   int order[NL];
@@ -197,10 +200,10 @@ INLINE int eliminate(const double *H, double (*solution)[COLUMNS], double (*A)[C
   if (solve(NL, COLUMNS, D, NL, solution[0], COLUMNS, scale, order, work)) return 1;
 #endif
   for (int p = 0; p < NA; p++) {
-    double x[COLUMNS] = {0};
+    double x[COLUMNS];
+    for (int i = 0; i < COLUMNS/4; i++) ((V *)x)[i] = ((const V *)(H + p*NY))[i]*((const V *)of_arguments)[i];
     UNROLL for (int i = 0; i < COUPLED; i++) add(COLUMNS, -H[(NA+coupled[i])*NY+p], solution[coupled[i]], x);
-    for (int q = 0; q < NA; q++) x[q] += H[p*NY+q];
-    memcpy(A[p], x, sizeof x); }
+    copy(COLUMNS, x, A[p]); }
   return 0;
 }
 
@@ -239,7 +242,9 @@ int matrix(const Part *part, int projection, const signed char *marks, double *c
       for (int i = 0; i < NL; i++) for (int p = 0; p <= NA; p++) steps[i*(NA+1)+p] = solution[i][p];
       if (change == 3) spread(NA, A[0], COLUMNS);
       else if (change && !NC) project(NA, A[0], COLUMNS, change == 2);
-      for (int p = 0; p < NA; p++) AB[p][NE] = A[p][NA];
+      for (int p = 0; p < NA; p++) {
+        if (NE % 4) AB[p][NE] = A[p][NA];
+        else *(V *)(AB[p] + NE) = (V){A[p][NA]}; }
 #define X(f, bs, nodes, first, value, gradient, place) \
       PHI(f, bs, nodes, first, value, gradient, place) \
       for (int p = 0; p < NA; p++) distribute(bs, nodes, value, gradient, phi##f, 1, A[p], AB[p] + first);
