@@ -207,6 +207,16 @@ INLINE int eliminate(const double *H, double (*solution)[COLUMNS], double (*A)[C
   return 0;
 }
 
+/* Has the blocks of K that a cell adds to brought near while its matrix is made. */
+INLINE void fetch(int cell, double *const *K, const int *const *places) {
+  for (int f = 0; f < SHARED; f++) for (int h = 0; h < SHARED; h++) {
+    int blocks = shared[f].nodes*shared[h].nodes, size = shared[f].components*shared[h].components;
+    const int *place = places[f*SHARED+h] + (long)cell*blocks;
+    for (int a = 0; a < blocks; a++) {
+      __builtin_prefetch(K[f*SHARED+h] + (long)place[a]*size, 1);
+      __builtin_prefetch(K[f*SHARED+h] + (long)place[a]*size + size - 1, 1); } }
+}
+
 /* Adds the condensed matrix to blocks of K by pair of shared fields, and -B^T D^-1 b to g of shared fields.
    projection: 1, 2 and 3 change the matrix of a point by `project`, its absolute variant and `spread`, in the
    cells with marks if these are given. b: the right-hand side of the other fields. lift: if given, changes of shared fields that are known, which
@@ -218,6 +228,7 @@ int matrix(const Part *part, int projection, const signed char *marks, double *c
   for (int n = 0; n < part->cells; n++) {
     int cell = part->numbers[n], change = marks && !marks[cell] ? 0 : projection;
     double Ke[NE][WIDTH] = {{0}};
+    fetch(cell, K, places);
     gather(part, cell, part->values, U);
     for (int q = 0; q < POINTS; q++) {
       long at = (long)n*POINTS + q;
