@@ -219,9 +219,10 @@ INLINE void fetch(int cell, double *const *K, const int *const *places) {
 
 /* Adds the condensed matrix to blocks of K by pair of shared fields, and -B^T D^-1 b to g of shared fields.
    projection: 1, 2 and 3 change the matrix of a point by `project`, its absolute variant and `spread`, in the
-   cells with marks if these are given. b: the right-hand side of the other fields. lift: if given, changes of shared fields that are known, which
-   go to g as -K lift. squares: if given, gets the sum of squares of local entries by
-   pair of fields, and their number. Returns 1 or 2, and the block, if that of a point or a cell is singular. */
+   cells with marks if these are given. b: the right-hand side of the other fields. lift: if given, changes of
+   shared fields that are known, which go to g as -K lift. squares: if given, gets the sum of squares of local
+   entries by pair of fields, and their number. Returns 1 or 2, and the block, if that of a point or a cell is
+   singular. */
 int matrix(const Part *part, int projection, const signed char *marks, double *const *b, double *const *K,
            const int *const *places, double *const *g, double *const *lift, double *squares, double *singular) {
   double U[NE + 1], y[NY + DATA + MULTIPLIERS + 1];
