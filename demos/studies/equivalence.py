@@ -73,7 +73,7 @@ def grid(quick: bool) -> list[Parameters]:
     # `taylor-hood` has displacements of another degree.
     others = [name for name in FORMULATIONS if name not in (BASELINE, "taylor-hood")]
     cases: list[Parameters] = [
-        scene_case(name, formulation, refinement, 2 if quick else 0)
+        scene_case(name, formulation, refinement, 1 if quick else 0)
         for name in scenes.built_in()
         for refinement in ((-1,) if quick else (-1, 0, 1))
         for formulation in (("symmetric", "seed") if quick else others)
