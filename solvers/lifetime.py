@@ -25,7 +25,6 @@ _factors: dict[tuple[_Group, int], weakref.ref[Any]] = {}
 MOST_FACTORS = 32
 """Of so many solvers factors are kept. Those of MUMPS have four communicators each."""
 
-
 SPARE = 64
 """So many communicators a new problem must find: more than its mesh, fields and solver take."""
 

@@ -233,7 +233,7 @@ class Newton:
     def _growth_told(self) -> str:
         """Which field's residual has grown how much in the last pass."""
         last = self.history.norms[-1]
-        worst = list(last)[np.argmax([*last.values()] * self.system.unknowns.scales)]
+        worst = list(last)[np.argmax(np.multiply([*last.values()], self.system.unknowns.scales))]
         return f"the residual has grown {self._rule.growth:.1e} times, most in {worst}"
 
     def _pass_to(self, end: int, **rule: Any) -> None:
@@ -282,8 +282,7 @@ class Newton:
             self._set_scales(np.array(numbers["scales"]))
 
     def _begin_pass(self, **rule: Any) -> None:
-        first = self.history.residuals[0] if self.history.residuals else 0.0
-        self._rule.begin(first=first, **rule)
+        self._rule.begin(self.history.residuals, **rule)
         self._domain.begin()
         self._before_pass = max(len(self.history.residuals) - 1, 0) + self._continued
         self.halted = 0  # a strategy's reason to end the pass
@@ -340,8 +339,7 @@ class Newton:
         """The stopping rule; and what others have against going on."""
         if self.guard.watch():
             return Reason.DIVERGED_FUNCTION_COUNT
-        largest = max(self.history.residuals, default=0.0)
-        reason = self._rule.reason(iteration, *norms, largest)
+        reason = self._rule.reason(iteration, *norms)
         if iteration == 0:
             self.linear.target = self._rule.target
         hindered = self.halted and reason != Reason.DIVERGED_FUNCTION_NANORINF

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from petsc4py import PETSc
 
 import numpy as np
@@ -25,25 +27,26 @@ class StoppingRule:
     def __init__(self, snes: PETSc.SNES, unknowns: Unknowns) -> None:
         self._snes, self._unknowns = snes, unknowns
         self.floor = self.size = 0.0
-        self.begin()
+        self.begin([])
 
     def begin(
         self,
+        residuals: Sequence[float],
         growth: float = np.inf,
         *,
-        first: float = 0.0,
         enough: float = 0.0,
         forced: bool = False,
     ) -> None:
         """Begin a pass.
 
         Args:
+            residuals: Their norms in this solve, to which others add.
             growth: Of the residual past that of the first iteration, at which to stop.
-            first: The first residual norm of the solve, 0 if the pass begins it.
             enough: The residual norm that will do.
             forced: Whether to take an iteration where there is no residual at all.
         """
-        self._growth, self._first, self._enough, self._forced = growth, first, enough, forced
+        self._residuals = residuals
+        self._growth, self._enough, self._forced = growth, enough, forced
         self._norms: list[float] = []
         self._steps: list[float] = []
         self._stagnates = False
@@ -54,7 +57,7 @@ class StoppingRule:
         """How many times the residual has grown in this pass."""
         return self._norms[-1] / self._norms[0]
 
-    def reason(self, iteration: int, size: float, step: float, norm: float, largest: float) -> int:
+    def reason(self, iteration: int, size: float, step: float, norm: float) -> int:
         """Return PETSc's reason to end the pass, or 0. Collective.
 
         Args:
@@ -62,7 +65,6 @@ class StoppingRule:
             size: Norm of the unknowns.
             step: Norm of the last step.
             norm: Of the residual.
-            largest: Norm of a residual in this solve before it, 0 if there is none.
         """
         rtol, given, stol, _ = self._snes.getTolerances()
         atol = max(given, self.floor * (defaults.NEAR_ROUND_OFF if self._stagnates else 1.0))
@@ -70,7 +72,7 @@ class StoppingRule:
         self._norms.append(norm)
         if iteration == 0:
             self.target = max(atol, rtol * norm, self._enough)
-        self._stagnates |= iteration > 1 and self._is_rounding_error(norm, previous, largest)
+        self._stagnates |= iteration > 1 and self._is_rounding_error(norm, previous)
         if not np.isfinite(norm):
             return int(Reason.DIVERGED_FUNCTION_NANORINF)
         if iteration == 0:
@@ -82,7 +84,7 @@ class StoppingRule:
             return int(Reason.CONVERGED_FNORM_ABS)
         if norm < atol and (reason := self._rests()):
             return reason
-        if norm <= rtol * (self._first or self._norms[0]):
+        if norm <= rtol * (self._residuals[0] if self._residuals else norm):
             return int(Reason.CONVERGED_FNORM_RELATIVE)
         if step < stol * size:
             return int(Reason.CONVERGED_SNORM_RELATIVE)
@@ -109,10 +111,10 @@ class StoppingRule:
         self.failure = "rounding error of the stiffest part hides the forces on others"
         return int(Reason.DIVERGED_DTOL)
 
-    def _is_rounding_error(self, norm: float, previous: float, largest: float) -> bool:
+    def _is_rounding_error(self, norm: float, previous: float) -> bool:
         """Whether a small residual no longer falls; the next iteration will then be the last."""
         near = norm <= defaults.NEAR_ROUND_OFF * self.floor
         if self._snes.getLineSearch().getType() != PETSc.SNESLineSearch.Type.BASIC:
             # A line search with tiny steps also stagnates, near its start.
-            near = near and norm < defaults.FALLEN * largest
+            near = near and norm < defaults.FALLEN * max(self._residuals, default=0.0)
         return near and norm > previous / 2

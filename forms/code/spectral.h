@@ -111,9 +111,8 @@ static void spectral_first(const double *parameters, const double *r, const doub
   const double *V = kept, *f1 = V + DIM*DIM + DIM;
   turn(V, L);
   for (int i = 0, n = 0; i < DIM; i++) for (int j = 0; j <= i; j++, n++)
-    for (int a = 0, m = 0; a < DIM; a++) for (int b = 0; b <= a; b++, m++) {
-      double ab = V[DIM*i+a]*V[DIM*j+b], ba = V[DIM*i+b]*V[DIM*j+a];
-      G[n*SPECTRAL_N+m] = f1[DIM*a+b]*(a == b ? ab : ab + ba); }
+    for (int a = 0, m = 0; a < DIM; a++) for (int b = 0; b <= a; b++, m++) /* entries off a diagonal stand for two */
+      G[n*SPECTRAL_N+m] = f1[DIM*a+b]*L[m*SPECTRAL_N+n]*(a == b ? 1 : 2)/(i == j ? 1 : 2);
 }
 
 static void spectral_second(const double *parameters, const double *r, const double *kept, const double *n, double *C,

@@ -168,6 +168,7 @@ void residual(const Part *part, double *const *r) {
   }
 }
 
+/* 1 in the columns of arguments. */
 static const double of_arguments[COLUMNS] = {[0 ... NA - 1] = 1};
 
 /* Eliminates the local unknowns: sets `solution` to D^-1 (B, b), of which the last column is given, and A to

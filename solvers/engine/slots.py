@@ -104,7 +104,7 @@ class PointFunction(Slot):
         super().__post_init__()
         data = self.source if isinstance(self.source, CellData) else None
         self.code = data.code if data else None
-        self.stem = (data.stem if data else "") or (self.code.stem if self.code else "")
+        self.stem = data.stem or data.code.stem if data and data.code else ""
         self.frozen = data is not None and data.code is None
         self.rank = data.rank if data else self.size
         self.kept = data.kept if data else 0

@@ -8,11 +8,11 @@ from solvers.options import (
     DIVERGING,
     EASY,
     FIRST_PART,
-    MOST_FULL_STEPS,
     MOST_OF_A_PART,
     SMALLEST_PART,
 )
 from solvers.strategies.base import Strategy
+from solvers.strategies.full_steps import until_divergence
 
 
 class Continuation(Strategy):
@@ -31,7 +31,7 @@ class Continuation(Strategy):
     def solve(self) -> bool:
         """Take full steps; if they diverge, start again part by part. Collective."""
         newton = self.newton
-        if newton.iterate(growth=DIVERGING, most=MOST_FULL_STEPS):
+        if until_divergence(newton):
             return True
         if newton.exhausted:
             return False

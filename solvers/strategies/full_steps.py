@@ -11,6 +11,11 @@ class FullSteps(Strategy):
     """Full steps, whatever becomes of the residual."""
 
 
+def until_divergence(newton: Newton) -> bool:
+    """Take full steps until they converge or diverge; whether they converge. Collective."""
+    return newton.iterate(growth=DIVERGING, most=MOST_FULL_STEPS)
+
+
 class ResidualSearch(Strategy):
     """Full steps; where they diverge, from the start again with a line search on the residual.
 
@@ -27,7 +32,7 @@ class ResidualSearch(Strategy):
         """Take full steps; if they diverge, start again with a line search. Collective."""
         if not self._may_search:
             return self.newton.iterate()
-        if self.newton.iterate(growth=DIVERGING, most=MOST_FULL_STEPS):
+        if until_divergence(self.newton):
             return True
         return not self.newton.exhausted and self._search()
 
