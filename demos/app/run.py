@@ -140,7 +140,7 @@ def _march(
 ) -> Run:
     comm, method = body.mesh.comm, _method(scene)
     saved = _saved(comm, out, scene.formulation, told["scene"], screen, restart)
-    screen.line(f"{method}: preparing forms (the first time compiles them, about 15 s in 3D)")
+    screen.line(f"{method}: preparing forms, which takes seconds the first time")
     start = time.perf_counter()
     simulation = Simulation(scene, body)
     if saved is not None:
