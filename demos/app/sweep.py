@@ -139,36 +139,53 @@ def _changed(tables: Mapping[str, Any], chosen: Mapping[str, Any], source: str) 
     """
     changed = copy.deepcopy(dict(tables))
     for key, value in chosen.items():
-        *path, last = key.split(".")
-        place: Any = changed
-        for k, word in enumerate(path):
-            place = place.setdefault(word, {}) if isinstance(place, dict) else _entry(place, word)
-            if isinstance(place, list) and k == len(path) - 1:
-                place = _entry(place, "1") if len(place) == 1 else place
-            if not isinstance(place, dict | list) or place == []:
-                place = None
-            if place is None:
-                raise SceneError(f"{source}: --vary {key}: there is no {'.'.join(path[: k + 1])}")
-        if not isinstance(place, dict):
-            raise SceneError(
-                f"{source}: --vary {key}: there are {len(place)} [[{path[-1]}]]; say which, "
-                f"{'.'.join(path)}.1.{last} to {'.'.join(path)}.{len(place)}.{last}"
-            )
-        place[last] = value
-    time = changed.get("time")
-    if "time.h" in chosen and "time.steps" not in chosen and isinstance(time, dict):
-        before = tables["time"]
-        try:
-            steps = before["steps"] * before["h"] / time["h"]
-        except (KeyError, TypeError, ZeroDivisionError):
-            return changed  # the check of the scene says what is wrong
-        if not (math.isfinite(steps) and steps > 0 and abs(steps - round(steps)) < 1e-6 * steps):
-            raise SceneError(
-                f"{source}: --vary time.h={time['h']}: does not divide the {before['steps']} steps "
-                f"of {before['h']} s"
-            )
-        time["steps"] = round(steps)
+        _table(changed, key, source)[key.rpartition(".")[2]] = value
+    if "time.h" in chosen and "time.steps" not in chosen:
+        steps = _steps(tables, chosen["time.h"], source)
+        if steps is not None:
+            changed["time"]["steps"] = steps
     return changed
+
+
+def _table(tables: dict[str, Any], key: str, source: str) -> dict[str, Any]:
+    """The table of a scene that a setting belongs to; one that is not there is made.
+
+    Raises:
+        SceneError: There is no such place, or there are several.
+    """
+    *path, last = key.split(".")
+    place: Any = tables
+    for k, word in enumerate(path):
+        place = place.setdefault(word, {}) if isinstance(place, dict) else _entry(place, word)
+        if isinstance(place, list) and len(place) == 1 and k == len(path) - 1:
+            place = place[0]
+        if not isinstance(place, dict | list) or place == []:
+            raise SceneError(f"{source}: --vary {key}: there is no {'.'.join(path[: k + 1])}")
+    if not isinstance(place, dict):
+        raise SceneError(
+            f"{source}: --vary {key}: there are {len(place)} [[{path[-1]}]]; say which, "
+            f"{'.'.join(path)}.1.{last} to {'.'.join(path)}.{len(place)}.{last}"
+        )
+    return place
+
+
+def _steps(tables: Mapping[str, Any], h: Any, source: str) -> int | None:
+    """The number of steps of h [s] to the end of a scene; None where it does not say its end.
+
+    Raises:
+        SceneError: h does not divide its time.
+    """
+    before: Any = tables.get("time")
+    try:
+        steps = before["steps"] * before["h"] / h
+    except (KeyError, TypeError, ZeroDivisionError):
+        return None  # the check of the scene says what is wrong
+    if not (math.isfinite(steps) and steps > 0 and abs(steps - round(steps)) < 1e-6 * steps):
+        raise SceneError(
+            f"{source}: --vary time.h={h}: does not divide the {before['steps']} steps "
+            f"of {before['h']} s"
+        )
+    return round(steps)
 
 
 def _entry(place: list[Any], word: str) -> Any:
