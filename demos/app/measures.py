@@ -141,15 +141,14 @@ class _OfCell(_At):
         self._what = what
 
     def __call__(self, run: Finished) -> float:
-        simulation = run.simulation
+        mesh, means = run.simulation.body.mesh, run.simulation.cell_means()
         if self._what == "von_mises":
-            values = simulation.von_mises()
+            values = means.von_mises
         else:
-            d = simulation.body.mesh.geometry.dim
-            values = np.linalg.norm(simulation.stretch() - np.eye(d), axis=(1, 2))
+            values = np.linalg.norm(means.stretch - np.eye(mesh.geometry.dim), axis=(1, 2))
         _, cell = self.cell(run)
         value = float(values[cell]) if cell >= 0 else 0.0
-        return float(simulation.body.mesh.comm.allreduce(value))
+        return float(mesh.comm.allreduce(value))
 
 
 def _reaction(number: str, axis: str) -> Measure:

@@ -198,14 +198,15 @@ def final_state(simulation: Simulation) -> dict[str, Array] | None:
     body, scheme = simulation.body, simulation.scheme
     X, *lists = simulation.at_rest
     u, v = body.gather(simulation.fields[0]), body.gather(scheme.v)
+    means = simulation.cell_means()
     of_cells = {
         name: body.gather(values)
         for name, values in (
-            ("S", simulation.stretch()),
-            ("Lam", simulation.stress()),
-            ("R", _rotations(simulation.gradient())),
-            ("von_mises", simulation.von_mises()),
-            ("psi", simulation.energy_density()),
+            ("S", means.stretch),
+            ("Lam", means.stress),
+            ("R", _rotations(means.gradient)),
+            ("von_mises", means.von_mises),
+            ("psi", means.energy_density),
         )
     } | dict(zip(("tags", "cells"), lists, strict=True))
     if X is None or u is None or v is None:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 from mpi4py import MPI
 
@@ -174,12 +175,17 @@ class Simulation:
         self.pace = Pace()
         self._energies = self.model.energies(self.scheme)
         self.account = Account(self.model, self.scheme, self.problem.unbalanced_forces)
-        u, stretch = self.model.u, self.model.stretch(self.scheme)
-        self._stretch = CellMeans(stretch, u)
-        self._gradient = CellMeans(deformation_gradient(u), u)
-        self._stress = CellMeans(self.model.stress(self.scheme), u)
-        self._von_mises = CellMeans(von_mises_stress(stretch, psi), u)
-        self._density = CellMeans(psi(stretch), u)
+        stretch = self.model.stretch(self.scheme)
+        self._means = _Means(
+            CellMeans(
+                gradient=deformation_gradient(self.model.u),
+                stretch=stretch,
+                stress=self.model.stress(self.scheme),
+                von_mises=von_mises_stress(stretch, psi),
+                energy_density=psi(stretch),
+            ),
+            self.model.u,
+        )
 
     def march(self, steps: int) -> Iterator[SolveResult]:
         """Yield the result of each step; go on from where `pace` stands.
@@ -196,9 +202,9 @@ class Simulation:
         """Energies [J] of the whole body after the last step. Collective."""
         return self._energies.now()
 
-    def stretch(self) -> npt.NDArray[np.float64]:
-        """Right stretch S on the owned cells, shape (owned cells, d, d)."""
-        return self._stretch.values()
+    def cell_means(self) -> CellMeans[npt.NDArray[np.float64]]:
+        """Means over each owned cell after the last step. Collective."""
+        return self._means.now()
 
     @cached_property
     def at_rest(self) -> tuple[npt.NDArray[Any] | None, ...]:
@@ -210,39 +216,41 @@ class Simulation:
         tags = body.cell_tags.values[: len(body.file_cells)]
         return body.gather_points(), body.gather(tags), body.gather(_vtk_cells(body))
 
-    def gradient(self) -> npt.NDArray[np.float64]:
-        """Deformation gradient F on the owned cells, shape (owned cells, d, d)."""
-        return self._gradient.values()
 
-    def stress(self) -> npt.NDArray[np.float64]:
-        """First Piola-Kirchhoff stress Λ [Pa] on the owned cells, shape (owned cells, d, d)."""
-        return self._stress.values()
+class CellMeans[T](NamedTuple):
+    """What is told of cells: means over the points at which cell-local fields live.
 
-    def von_mises(self) -> npt.NDArray[np.float64]:
-        """Von Mises stress [Pa] on the owned cells, shape (owned cells,)."""
-        return self._von_mises.values()
+    Attributes:
+        gradient: Deformation gradient F, shape (owned cells, d, d).
+        stretch: Right stretch S, likewise.
+        stress: First Piola-Kirchhoff stress Λ [Pa], likewise.
+        von_mises: Von Mises stress [Pa], shape (owned cells,).
+        energy_density: Strain energy density Ψ [J/m³], likewise.
+    """
 
-    def energy_density(self) -> npt.NDArray[np.float64]:
-        """Strain energy density Ψ [J/m³] on the owned cells, shape (owned cells,)."""
-        return self._density.values()
+    gradient: T
+    stretch: T
+    stress: T
+    von_mises: T
+    energy_density: T
 
 
-class CellMeans:
-    """Means of an expression over the points of each owned cell at which cell-local fields live."""
+class _Means:
+    """Cell means, compiled together, as each compilation takes its time."""
 
-    def __init__(self, expression: Expr, u: fem.Function[Any]) -> None:
-        """Compile the expression.
+    def __init__(self, expressions: CellMeans[Expr], u: fem.Function[Any]) -> None:
+        self._shapes = [e.ufl_shape for e in expressions]
+        entries = [e[i] if i else e for e in expressions for i in np.ndindex(e.ufl_shape)]
+        self._points = PointValues(ufl.as_vector(entries), u)
 
-        Args:
-            expression: Of the fields of a formulation.
-            u: The displacement among them.
-        """
-        self._points = PointValues(expression, u)
-
-    def values(self) -> npt.NDArray[np.float64]:
-        """Present means, shape (owned cells, *shape of the expression)."""
+    def now(self) -> CellMeans[npt.NDArray[np.float64]]:
         weights = self._points.weights / self._points.weights.sum()
-        return np.einsum("q,kq...->k...", weights, self._points.now())
+        means = np.einsum("q,kqi->ki", weights, self._points.now())
+        sizes = [math.prod(shape) for shape in self._shapes]
+        parts = np.split(means, np.cumsum(sizes)[:-1], axis=1)
+        return CellMeans(
+            *(a.reshape(-1, *shape) for a, shape in zip(parts, self._shapes, strict=True))
+        )
 
 
 def _vtk_cells(body: Body) -> npt.NDArray[Any]:
