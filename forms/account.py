@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
-from mpi4py import MPI
-
 import numpy as np
 import numpy.typing as npt
 import ufl
 
-from forms.model import Energies, Integral, Model
+from forms.model import Energies, Integrals, Model
 from forms.spaces import function
 from forms.time import Scheme
 
@@ -77,13 +75,12 @@ class Account:
         work = model.virtual_work(scheme)
         if work is not None:
             loads.append(ufl.action(work, self._change))
-        self._loads = _total(loads, V.mesh.comm)
         of_mass, of_stiffness = model.damping_potentials(scheme)
         dissipated = [] if of_mass is None else [ufl.derivative(of_mass, u, self._change)]
         if of_stiffness is not None:
             # Quadratic in the change of the stretch, so twice is its derivative along that.
             dissipated.append(2 * of_stiffness)
-        self._dissipated = _total(dissipated, V.mesh.comm)
+        self._works = Integrals(V.mesh.comm, [_total(loads), _total(dissipated)])
         holder = np.full((len(u.x.array) // V.dofmap.bs, V.dofmap.bs), -1)
         for k, held in enumerate(model.held):
             holder[np.ix_(held.blocks, held.components)] = k
@@ -104,14 +101,14 @@ class Account:
             local[k] = np.where(self._holder == k, forces, 0.0).sum(axis=0)
         motions = float(np.sum(forces * change, where=self._holder >= 0))
         self.reactions = np.asarray(comm.allreduce(local))
-        before = self.balance
+        before, (loads, dissipated) = self.balance, self._works.now()
         self.balance = Balance(
-            before.loads + self._loads.now() / scheme.theta,
+            before.loads + loads / scheme.theta,
             before.motions + comm.allreduce(motions),
-            before.dissipated + self._dissipated.now() / scheme.theta,
+            before.dissipated + dissipated / scheme.theta,
         )
         self._model.accept(scheme)
 
 
-def _total(terms: list[ufl.Form], comm: MPI.Comm) -> Integral:
-    return Integral(comm, sum(terms[1:], terms[0]) if terms else None)
+def _total(terms: list[ufl.Form]) -> ufl.Form | None:
+    return sum(terms[1:], terms[0]) if terms else None

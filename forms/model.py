@@ -15,6 +15,7 @@ from ufl.core.expr import Expr
 
 from forms.body import BodyLike
 from forms.cell_data import refresh
+from forms.compilation import compile_together
 from forms.constants import as_constant
 from forms.damping import Rayleigh
 from forms.fields import cell_not_finite, point_field
@@ -264,24 +265,24 @@ class EnergyIntegrals:
 
     def __init__(self, comm: MPI.Comm, integrals: Sequence[ufl.Form | None]) -> None:
         """Compile the kinetic, elastic and potential energy. Collective."""
-        self._integrals = [Integral(comm, form) for form in integrals]
+        self._integrals = Integrals(comm, integrals)
 
     def now(self) -> Energies:
         """Return the present values. Collective."""
-        return Energies(*(integral.now() for integral in self._integrals))
+        return Energies(*self._integrals.now())
 
 
-class Integral:
-    """An integral over the whole body, compiled once; 0 where there is no form."""
+class Integrals:
+    """Integrals over the whole body, compiled once; 0 where there is no form."""
 
-    def __init__(self, comm: MPI.Comm, form: ufl.Form | None) -> None:
-        """Compile it. Collective."""
-        self._comm, self._form = comm, form
-        self._compiled = None if form is None else fem.form(form)
+    def __init__(self, comm: MPI.Comm, forms: Sequence[ufl.Form | None]) -> None:
+        """Compile them. Collective."""
+        self._comm = comm
+        self._forms = [form for form in forms if form is not None]
+        self._compiled = compile_together(list(forms))
 
-    def now(self) -> float:
-        """Return the present value. Collective."""
-        if self._form is None or self._compiled is None:
-            return 0.0
-        refresh([self._form])
-        return float(self._comm.allreduce(np.real(fem.assemble_scalar(self._compiled))))
+    def now(self) -> list[float]:
+        """Return the present values. Collective."""
+        refresh(self._forms)
+        here = [0.0 if f is None else np.real(fem.assemble_scalar(f)) for f in self._compiled]
+        return [float(value) for value in self._comm.allreduce(np.array(here))]

@@ -19,6 +19,7 @@ from ufl.algorithms import expand_derivatives
 from ufl.corealg.dag_traverser import DAGTraverser
 
 from forms import CellData, refresh
+from forms.compilation import compile_together
 from solvers.condensation import CellBlocks, Condensation, LocalBlocks, NothingToEliminate
 from solvers.layout import BlockLayout
 from solvers.scaling import Unknowns, block_entries
@@ -251,10 +252,11 @@ def _nonlinear_problem(
         zero = fem.Constant(V.mesh, 0.0)
         product = ufl.inner(ufl.TrialFunction(V), ufl.TestFunction(V))
         jacobian[0][0] = zero * product * ufl.dx
+    residual, jacobian = compile_together([residual, jacobian])
     problem = NonlinearProblem(
-        fem.form(residual),  # here, as it cannot be deleted where that fails
+        residual,  # compiled here, as the problem cannot be deleted where that fails
         fields,
-        J=fem.form(jacobian),
+        J=jacobian,
         bcs=list(bcs),
         kind="nest" if nested and len(fields) > 1 else "mpi",
         petsc_options_prefix=prefix,

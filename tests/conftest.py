@@ -12,7 +12,9 @@ import os
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before NumPy is imported
 
+import functools
 import gc
+import importlib.metadata
 import sys
 import time
 import zlib
@@ -29,6 +31,9 @@ import pytest
 # third of it. Processes that the tests start take them too, and so find the same forms.
 os.environ["XDG_CONFIG_HOME"] = str(Path(__file__).parent / "config")
 os.environ.setdefault("MPLCONFIGDIR", str(Path(__file__).parents[1] / ".cache" / "matplotlib"))
+
+# setuptools looks at all that is installed, six times for each form that is compiled.
+importlib.metadata.entry_points = functools.cache(importlib.metadata.entry_points)
 
 WAIT = 300.0  # [s] for the others to end a phase that this rank has passed
 WAIT_AFTER_FAILURE = 30.0  # [s] for the others to end a phase that this rank has failed

@@ -14,16 +14,14 @@ from mpi4py import MPI
 
 import basix
 import basix.ufl
-import ffcx
-import ffcx.codegeneration.jit
 import numpy as np
 import ufl
-from dolfinx import fem, jit, mesh
-from dolfinx.fem.forms import CompiledForm
+from dolfinx import fem, mesh
 from dolfinx.fem.petsc import assemble_matrix, create_matrix
 from ufl.algorithms import expand_derivatives
 
 from forms import FORMULATIONS, deformation_gradient, quadrature_degree, refresh
+from forms.compilation import compile_together
 from solvers.layout import is_local
 from tests.states import dense
 
@@ -65,9 +63,8 @@ class PointSystems:
         }
         self._pairs = [pair for pair, block in blocks.items() if not block.empty()]
         forms = [density * ufl.TestFunction(dg0) * ufl.dx, *residual]
-        forms = compile_together(msh, [*forms, *(blocks[pair] for pair in self._pairs)])
-        self._value, *self._residual = forms[: 1 + len(residual)]
-        self._blocks = forms[1 + len(residual) :]
+        forms, self._blocks = compile_together([forms, [blocks[pair] for pair in self._pairs]])
+        self._value, *self._residual = forms
         self._matrices = {
             pair: create_matrix(form) for pair, form in zip(self._pairs, self._blocks, strict=True)
         }
@@ -126,22 +123,6 @@ def with_eigenvalues(A: np.ndarray, modify: Callable[[np.ndarray], np.ndarray]) 
 
 def derivative(form, f, argument):
     return ufl.derivative(form, f, argument(f.function_space))
-
-
-def compile_together(msh: mesh.Mesh, forms: Sequence[ufl.Form]) -> list[fem.Form]:
-    """Compile forms on a mesh of this rank alone, into one library: quicker than one by one."""
-    options = ffcx.get_options({"scalar_type": np.float64})
-    compiled, module, code = ffcx.codegeneration.jit.compile_forms(
-        list(forms), options=options, **jit.get_options()
-    )
-    made = []
-    for form, those in zip(forms, compiled, strict=True):
-        known = CompiledForm(form, those, module, code, np.float64)
-        spaces = [a.ufl_function_space() for a in form.arguments()]
-        coefficients = {c: c for c in form.coefficients()}
-        constants = {c: c for c in form.constants()}
-        made.append(fem.create_form(known, spaces, msh, {}, coefficients, constants))
-    return made
 
 
 def cell_dofs(f: fem.Function) -> np.ndarray:

@@ -14,6 +14,7 @@ import ufl
 from dolfinx import fem
 from dolfinx.fem.petsc import assemble_matrix, create_matrix
 
+from forms.compilation import compile_together
 from solvers.systems import derivatives, or_none
 
 # Their overloads are not typed.
@@ -44,17 +45,18 @@ class Rest:
         self._comm = fields[0].function_space.mesh.comm
         self._known: list[Floats] = []
         self._values: Floats = np.zeros(0)
-        self._energy = None if energy.empty() else fem.form(energy)
+        self._energy: fem.Form | None = None
         if energy.empty() and work is None:
             return
         residual, jacobian = derivatives(energy, work, fields)
-        self._residual = [_compiled(r) for r in map(or_none, residual)]
         for k, f in enumerate(fields if len(fields) > 1 else ()):
             if jacobian[k][k] is None:  # DOLFINx asks for a block in each row and column
                 du, v = ufl.TrialFunction(f.function_space), ufl.TestFunction(f.function_space)
                 zero = fem.Constant(f.function_space.mesh, 0.0)
                 jacobian[k][k] = zero * ufl.inner(du, v) * ufl.dx
-        blocks = [[_compiled(form) for form in row] for row in jacobian]
+        self._energy, self._residual, blocks = compile_together(
+            [None if energy.empty() else energy, [or_none(r) for r in residual], jacobian]
+        )
         present = [form for row in blocks for form in row if form is not None]
         if not present:
             return
@@ -129,7 +131,3 @@ class Rest:
             self._matrix.assemble()
             self._values = self._matrix.getValuesCSR()[2]
         return self._values
-
-
-def _compiled(form: ufl.Form | None) -> fem.Form | None:
-    return None if form is None else fem.form(form)

@@ -18,6 +18,7 @@ from dolfinx.jit import DOLFINX_DEFAULT_JIT_OPTIONS
 from ufl.algorithms import expand_derivatives
 
 from forms import refresh
+from forms.compilation import compile_together
 from meshes import Body
 
 Array = npt.NDArray[np.float64]
@@ -139,22 +140,26 @@ class Functional:
             fields: The unknowns of which it is one, by letter.
         """
         self._form = energy
-        self._value = fem.form(energy)
         self._spaces = {i: f.function_space for i, f in fields.items()}
-        self._first: dict[str, fem.Form] = {}
-        self._second: dict[str, fem.Form] = {}
+        first: dict[str, ufl.Form] = {}
+        second: dict[str, ufl.Form] = {}
         for i, f in fields.items():
             slope = expand_derivatives(ufl.derivative(energy, f, ufl.TestFunction(self._spaces[i])))
             if slope.empty():
                 continue
-            self._first[i] = fem.form(slope)
+            first[i] = slope
             for j in FIELDS[: FIELDS.index(i) + 1]:
                 if j not in fields:
                     continue
                 trial = ufl.TrialFunction(self._spaces[j])
                 block = expand_derivatives(ufl.derivative(slope, fields[j], trial))
                 if not block.empty():
-                    self._second[i + j] = fem.form(block)
+                    second[i + j] = block
+        self._value, slopes, blocks = compile_together(
+            [energy, list(first.values()), list(second.values())]
+        )
+        self._first: dict[str, fem.Form] = dict(zip(first, slopes, strict=True))
+        self._second: dict[str, fem.Form] = dict(zip(second, blocks, strict=True))
 
     def value(self, assembler: Assembler) -> float:
         """Assemble the functional itself at the current fields. Collective."""

@@ -46,6 +46,7 @@ from forms import (
     seed_singular,
     symmetric,
 )
+from forms.compilation import compile_together
 from meshes import Body
 from solvers import MixedProblem
 
@@ -245,16 +246,20 @@ class _Kinematics:
         F = deformation_gradient(u)
         self._R = R = polar_rotation(F)
 
-        def against(tensor: Expr) -> fem.Form:
-            return fem.form(ufl.inner(tensor, T) * ufl.dx)
+        J, dR = ufl.derivative(F, u, du), ufl.derivative(R, u, du)
 
-        self._vectors = {"RS": against(R * S), "F": against(F), "R": against(R)}
-        self._matrices = {
-            "J": (against(ufl.derivative(F, u, du)), "x"),
-            "dR": (against(ufl.derivative(R, u, du)), "x"),
-            "W": (against(R * dS), "s"),
-        }
-        self._W_hat = against(ufl.derivative(R * self._B, u, du))
+        def against(*tensors: Expr) -> list[ufl.Form]:
+            return [ufl.inner(tensor, T) * ufl.dx for tensor in tensors]
+
+        vectors, matrices, (self._W_hat,) = compile_together(
+            [
+                against(R * S, F, R),
+                against(J, dR, R * dS),
+                against(ufl.derivative(R * self._B, u, du)),
+            ]
+        )
+        self._vectors = dict(zip(("RS", "F", "R"), vectors, strict=True))
+        self._matrices = dict(zip(("J", "dR", "W"), zip(matrices, "xxs", strict=True), strict=True))
 
     def at(self, assembler: Assembler) -> dict[str, Array]:
         """Assemble; W_hat has a matrix for each dof of S."""
