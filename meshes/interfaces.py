@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from meshes.checks import Problem
 from meshes.groups import Integers
@@ -91,7 +91,9 @@ def _tolerances(raw: RawMesh) -> Reals:
 
 def _twins(raw: RawMesh, vertices: Integers, tolerance: Reals) -> Integers:
     """Pairs of vertices in one place, shape (pairs, 2)."""
-    pairs = cKDTree(raw.points[vertices]).query_pairs(float(tolerance.max()), output_type="ndarray")
+    pairs = scipy.spatial.cKDTree(raw.points[vertices]).query_pairs(
+        float(tolerance.max()), output_type="ndarray"
+    )
     pairs = vertices[pairs.reshape(-1, 2)]
     distance = np.linalg.norm(raw.points[pairs[:, 0]] - raw.points[pairs[:, 1]], axis=1)
     return np.asarray(pairs[distance <= tolerance[pairs].min(axis=1)])
@@ -108,7 +110,9 @@ def _resting(raw: RawMesh, facets: Integers, tolerance: Reals) -> tuple[Integers
     gram = np.einsum("nik,njk->nij", edges, edges)
     sound = np.linalg.det(gram) > (_FLAT * size) ** (2 * (d - 1))
     facets, edges, gram, size = (a[sound] for a in (facets, edges, gram, size))
-    near = cKDTree(points[vertices]).query_ball_point(points[facets].mean(axis=1), size)
+    near = scipy.spatial.cKDTree(points[vertices]).query_ball_point(
+        points[facets].mean(axis=1), size
+    )
     facet = np.repeat(np.arange(len(facets)), [len(n) for n in near])
     vertex = vertices[np.array([v for n in near for v in n], dtype=np.int64)]
     # Not its own vertices, nor those in their places, which are twins.

@@ -9,9 +9,8 @@ from mpi4py import MPI
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 from dolfinx import la
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from meshes.body import Body
 from meshes.selection import select
@@ -58,8 +57,10 @@ def joined(cells: npt.NDArray[np.integer], vertices: int) -> tuple[int, npt.NDAr
     """
     rows = np.repeat(cells[:, 0], cells.shape[1] - 1)
     pairs = (rows, cells[:, 1:].ravel())
-    graph = coo_array((np.ones(len(rows), dtype=np.int8), pairs), shape=(vertices, vertices))
-    count, labels = connected_components(graph, directed=False)
+    graph = scipy.sparse.coo_array(
+        (np.ones(len(rows), dtype=np.int8), pairs), shape=(vertices, vertices)
+    )
+    count, labels = scipy.sparse.csgraph.connected_components(graph, directed=False)
     return int(count), labels
 
 

@@ -8,8 +8,8 @@ from mpi4py import MPI
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 from dolfinx import fem
-from scipy.linalg import expm
 
 from solvers.newton import Newton
 
@@ -55,7 +55,7 @@ def free_motions(newton: Newton, bcs: Sequence[fem.DirichletBC]) -> str:
         generators[k, j, i], generators[k, i, j] = 1.0, -1.0
 
     def moved(motion: Floats) -> Floats:
-        A = expm(np.tensordot(MOVED * motion, generators, 1))
+        A = scipy.linalg.expm(np.tensordot(MOVED * motion, generators, 1))
         return (r @ A[:d, :d].T + A[:d, d] - r).ravel()
 
     def forces(change: Floats) -> Floats:

@@ -26,7 +26,6 @@ from demos.app.progress import Screen
 from demos.app.run import Restart, run
 from demos.app.scene import Overrides, built_in, load
 from demos.app.tables import SceneError
-from demos.by_hand import ERRATA, compare
 from demos.viewing import ResultsError, plot
 from demos.viewing import load as load_results
 from forms import FORMULATIONS, LOADS, MATERIALS, MOTIONS, SCHEMES, CompilationError
@@ -151,6 +150,8 @@ def _run(given: argparse.Namespace) -> int:
 
 
 def _compare(given: argparse.Namespace) -> int:
+    from demos.by_hand import ERRATA, compare  # here, as SciPy takes a third of a second
+
     last = ERRATA[-1].number
     if given.equation is not None and not 1 <= given.equation <= last:
         raise UsageError(f"equation {given.equation}: the seed numbers its equations 1 to {last}")

@@ -10,8 +10,8 @@ from mpi4py import MPI
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 from dolfinx import geometry
-from scipy.spatial import cKDTree
 
 from demos.app.simulation import Simulation
 from forms import Energies
@@ -85,7 +85,7 @@ def tip(simulation: Simulation) -> Array:
         V = simulation.model.u.function_space
         here = V.tabulate_dof_coordinates()[simulation.model.held[0].blocks, : X.shape[1]]
         origin = np.concatenate(V.mesh.comm.allgather(here))
-    distance = cKDTree(origin).query(X)[0]
+    distance = scipy.spatial.cKDTree(origin).query(X)[0]
     farthest = X[distance > distance.max() * (1 - 1e-9)]
     found: Array = farthest[np.lexsort(farthest.T[::-1])[-1]]
     return found

@@ -7,10 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy
 from dolfinx import fem
-from scipy.linalg import expm
-from scipy.optimize import brentq
-from scipy.special import ellipe, ellipeinc, ellipk, ellipkinc
 
 from forms import BackwardEuler, Fixed, Model, Scheme, Static, Traction
 from forms.materials import StrainEnergy
@@ -42,14 +40,17 @@ def elastica(load: float) -> tuple[float, float]:
     Returns:
         (u/L, w/L), u towards the clamp, w along the load.
     """
+    special = scipy.special
 
     def excess(m: float) -> float:
-        return float((ellipk(m) - ellipkinc(np.arcsin(1 / np.sqrt(2 * m)), m)) ** 2 - load)
+        return float(
+            (special.ellipk(m) - special.ellipkinc(np.arcsin(1 / np.sqrt(2 * m)), m)) ** 2 - load
+        )
 
     # The parameter m = (1 + sin φ) / 2 of the slope φ at the tip.
-    m = brentq(excess, 0.5 * (1 + 1e-12), 1 - 1e-15, xtol=1e-15)
+    m = scipy.optimize.brentq(excess, 0.5 * (1 + 1e-12), 1 - 1e-15, xtol=1e-15)
     root = np.sqrt(load)
-    w = 1 - 2 * (ellipe(m) - ellipeinc(np.arcsin(1 / np.sqrt(2 * m)), m)) / root
+    w = 1 - 2 * (special.ellipe(m) - special.ellipeinc(np.arcsin(1 / np.sqrt(2 * m)), m)) / root
     return float(1 - np.sqrt(2 * (2 * m - 1)) / root), float(w)
 
 
@@ -77,9 +78,11 @@ def timoshenko_frequency(slenderness: float) -> float:
         A = np.zeros((4, 4))
         A[0, 1], A[0, 3], A[1, 2] = 1.0, s2, 1.0
         A[2, 3], A[2, 1], A[3, 0] = -1.0, -r2 * omega**2, -(omega**2)
-        return float(np.linalg.det(expm(A)[2:, 2:]))
+        return float(np.linalg.det(scipy.linalg.expm(A)[2:, 2:]))
 
-    return float(brentq(determinant, 0.5 * CLAMPED_FREE**2, CLAMPED_FREE**2 * (1 + 1e-9)))
+    return float(
+        scipy.optimize.brentq(determinant, 0.5 * CLAMPED_FREE**2, CLAMPED_FREE**2 * (1 + 1e-9))
+    )
 
 
 @dataclass

@@ -11,7 +11,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from scipy.optimize import brentq
+import scipy
 
 SAFETY, DOUBTFUL = 1.25, 3.0  # factors of the index, where the series is asymptotic, and else
 LEAST, MOST = 0.2, 10.0  # orders that are looked for
@@ -81,4 +81,4 @@ def _order(sizes: Sequence[float], changes: Sequence[float]) -> float:
 
     if excess(LEAST) * excess(MOST) > 0.0:
         return math.nan
-    return float(brentq(excess, LEAST, MOST))
+    return float(scipy.optimize.brentq(excess, LEAST, MOST))
