@@ -252,8 +252,8 @@ class Newton:
 
     @property
     def exhausted(self) -> bool:
-        """Whether no iteration of the solve is left."""
-        return self.iterations >= self.snes.getTolerances()[3]
+        """Whether no iteration of the solve is left, or more would be lost on rounding error."""
+        return bool(self._rule.failure) or self.iterations >= self.snes.getTolerances()[3]
 
     @property
     def iterations(self) -> int:

@@ -132,8 +132,9 @@ an exact Newton step more would be about the square of that."""
 LAST_STEP = 1e-3
 """Of the largest step before it, the same: what stiff parts hide is then no part of the motion."""
 
-UNSETTLED = 1e-2
-"""A step above which rounding error keeps it from coming to rest."""
+TREMBLE, PART_OF_MOTION = 1e-6, 1e-2
+"""Of the body's size, and of the largest step before, what a step that is no longer shorter than
+the one before may be: rounding error is what moves the body."""
 
 FALLEN = 1e-3
 """How far below its largest value it must be for that where a line search may cut steps."""

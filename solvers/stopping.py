@@ -103,12 +103,18 @@ class StoppingRule:
             The reason to stop, or 0.
         """
         steps = self._steps
-        settled = min(defaults.SETTLED, defaults.LAST_STEP * max(steps[:-1], default=np.inf))
-        if steps[-1] > settled and (len(steps) < 2 or steps[-1] < steps[-2] / 2):
-            return 0
-        if steps[-1] < defaults.UNSETTLED:
+        largest = max(steps[:-1], default=np.inf)
+        if steps[-1] <= min(defaults.SETTLED, defaults.LAST_STEP * largest):
             return int(Reason.CONVERGED_FNORM_ABS)
-        self.failure = "rounding error of the stiffest part hides the forces on others"
+        if len(steps) < 2 or steps[-1] < steps[-2] / 2:
+            return 0
+        tremble = max(defaults.TREMBLE, defaults.PART_OF_MOTION * largest)
+        if steps[-1] <= min(defaults.SETTLED, tremble):
+            return int(Reason.CONVERGED_FNORM_ABS)
+        self.failure = (
+            "rounding error of the stiffest part hides the forces on others: the numbers do not "
+            "fit double precision"
+        )
         return int(Reason.DIVERGED_DTOL)
 
     def _is_rounding_error(self, norm: float, previous: float) -> bool:

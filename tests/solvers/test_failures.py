@@ -30,6 +30,7 @@ from forms import (
 )
 from meshes import Where, box
 from solvers import SOLVERS, ConvergenceError, MixedProblem, march
+from tests.bodies import largest
 from tests.states import small_mesh
 
 COMM = MPI.COMM_WORLD
@@ -100,6 +101,25 @@ def test_a_line_search_that_gets_nowhere_has_not_converged():
     (result,) = run.results
     assert result.residuals[-1] > 0.9 * result.residuals[0]
     assert run.failure == result.reason and result.reason.startswith("DIVERGED_LINE_SEARCH")
+
+
+def thrown(formulation, contrast):
+    """A bar that is all but rigid, after a step."""
+    run = bar(COMM, formulation, n=3, E=1e12, contrast=contrast, h=1.0, support="free")
+    run.step()
+    return run
+
+
+@pytest.mark.parametrize("formulation", ["displacement", "symmetric"])
+def test_inertia_beside_a_stiffness_1e12_times_as_large_is_balanced(formulation):
+    u, v = (thrown(formulation, contrast).model.u.x.array for contrast in (1.0, 1e3))
+    assert largest(u - v) < 1e-3 * largest(u)
+
+
+def test_what_does_not_fit_double_precision_is_not_solved():
+    """With 1e15 times inertia is lost in rounding error, where no residual shows it any more."""
+    run = thrown("displacement", 1e6)
+    assert "do not fit double precision" in run.failure
 
 
 def held(solver="condensed", load=None, histories=()):
