@@ -36,6 +36,7 @@ class Newton:
         system: What it solves.
         linear: What solves its linear systems.
         history: Of the present solve.
+        before: Iterations of the solve before.
         guard: Keeps what callbacks raise; a pass ends by raising that.
         reason: PETSc's reason for the end of the last pass.
         failure: What the linear solver says where that is to blame.
@@ -51,7 +52,7 @@ class Newton:
             guard: Keeps what callbacks raise.
         """
         self.system, self.linear, self.snes = system, linear, system.solver
-        self.history = History()
+        self.history, self.before, self._carried = History(), 0, 0
         self.guard = guard
         self.reason, self.failure = 0, ""
         self.belongings: list[Any] = [system]
@@ -94,6 +95,7 @@ class Newton:
         """Begin a solve from the present values of the fields. Collective."""
         for f, values in zip(self.system.fields, self._before, strict=True):
             values[:] = f.x.array
+        self.before = self._done or self._carried
         self.history, self.failure = History(), ""
         self.guard.begin()
         if not self._scaled:
@@ -208,7 +210,7 @@ class Newton:
         """
         self._continued, limit = False, self.snes.getTolerances()[3]
         most = limit if most is None else most
-        end = min(limit, max(len(self.history.residuals) - 1, 0) + most)
+        end = min(limit, self._done + most)
         self._pass_to(end, growth=growth, enough=enough, forced=forced)
         while self.reason == Reason.DIVERGED_FUNCTION_NANORINF and self._domain.amend():
             self._continued = True
@@ -251,6 +253,11 @@ class Newton:
         self.reason = int(snes.getConvergedReason())
 
     @property
+    def _done(self) -> int:
+        """Iterations in the history."""
+        return max(len(self.history.residuals) - 1, 0)
+
+    @property
     def exhausted(self) -> bool:
         """Whether no iteration of the solve is left, or more would be lost on rounding error."""
         return bool(self._rule.failure) or self.iterations >= self.snes.getTolerances()[3]
@@ -272,11 +279,12 @@ class Newton:
     def carried(self) -> dict[str, Any]:
         """Numbers that one solve leaves for the next, as plain as JSON."""
         scales = self.system.unknowns.scales.tolist() if self._scaled else None
-        return {"scales": scales, "left": self._domain.left, **self.linear.carried()}
+        rest = {"left": self._domain.left, "iterations": self._done}
+        return {"scales": scales, **rest, **self.linear.carried()}
 
     def carry(self, numbers: Mapping[str, Any]) -> None:
         """Take such numbers for one's own. Collective."""
-        self._domain.left = numbers["left"]
+        self._domain.left, self._carried = numbers["left"], numbers.get("iterations", 0)
         self.linear.carry(numbers)
         if numbers["scales"] is not None:
             self._set_scales(np.array(numbers["scales"]))
@@ -284,7 +292,7 @@ class Newton:
     def _begin_pass(self, **rule: Any) -> None:
         self._rule.begin(self.history.residuals, **rule)
         self._domain.begin()
-        self._before_pass = max(len(self.history.residuals) - 1, 0) + self._continued
+        self._before_pass = self._done + self._continued
         self.halted = 0  # a strategy's reason to end the pass
 
     def _set_scales(self, scales: npt.NDArray[np.float64] | None = None) -> None:

@@ -110,6 +110,9 @@ MOST_FULL_STEPS = 50
 DIVERGING = 100.0
 """Growth of the residual past that of the first iteration that tells full steps diverge."""
 
+LONG = 60
+"""Iterations of a step after which the next does without a search on the residual."""
+
 FIRST_PART, SMALLEST_PART = 1 / 8, 1 / 256
 """Of the residual at the start, what a continuation lets in at first, and the least of it."""
 

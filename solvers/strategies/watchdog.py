@@ -7,7 +7,16 @@ from petsc4py import PETSc
 import numpy as np
 
 from solvers.newton import Newton
-from solvers.options import DOWN, FARTHEST, LONGEST, NOWHERE, SMALLEST_PART, UPHILL, WORTH_A_PART
+from solvers.options import (
+    DOWN,
+    FARTHEST,
+    LONG,
+    LONGEST,
+    NOWHERE,
+    SMALLEST_PART,
+    UPHILL,
+    WORTH_A_PART,
+)
 from solvers.stopping import Reason
 from solvers.strategies.continuation import Continuation
 from solvers.strategies.descent import ProjectOnDemand
@@ -18,7 +27,8 @@ class Watchdog(ResidualSearch):
     """Full steps; a line search on the residual where they diverge; part by part; down the energy.
 
     Where residuals lead nowhere, what is out of balance at the start is let in part by part, as
-    long as the parts need not be small (`Continuation`). Then it goes down the energy.
+    long as the parts need not be small (`Continuation`). Then it goes down the energy. After a step
+    that took long the next does without the search.
 
     The energy of positions, its cell-local fields where it is stationary in them, is a merit that
     any system with an energy has. On it this takes steps of Newton's method from where the parts
@@ -55,6 +65,8 @@ class Watchdog(ResidualSearch):
         return self._parts.let_in(SMALLEST_PART if self._down is None else WORTH_A_PART)
 
     def _search(self) -> bool:
+        if self.newton.before > LONG:  # in vain then, and most likely now
+            return False
         self._norms: list[float] = []
         self._impatient = self._down is not None
         try:

@@ -103,6 +103,18 @@ def test_a_line_search_that_gets_nowhere_has_not_converged():
     assert run.failure == result.reason and result.reason.startswith("DIVERGED_LINE_SEARCH")
 
 
+def test_a_search_in_vain_is_not_made_again_at_once():
+    """A collapsing bar of soft and stiff parts, which all other methods give up."""
+    run = bar(COMM, "symmetric", n=3, E=1e3, contrast=1e6, h=1.0)
+    run.step()
+    run.step()
+    assert not run.failure
+    first, second = (" ".join(result.notes.values()) for result in run.results)
+    assert "line search" in first and "part by part" in first
+    assert "line search" not in second and "part by part" in second
+    assert run.problem.carried()["iterations"] == run.results[1].iterations
+
+
 def thrown(formulation, contrast):
     """A bar that is all but rigid, after a step."""
     run = bar(COMM, formulation, n=3, E=1e12, contrast=contrast, h=1.0, support="free")
