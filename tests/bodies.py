@@ -107,14 +107,17 @@ class Body:
         )
         self.fields = model.fields
         self.scheme = BackwardEuler(model.u, H)
-        energy = model.energy(self.scheme)
-        self.energy = fem.form(energy)
+        self._energy = energy = model.energy(self.scheme)
         self.clamped = body.dofs(model.u.function_space, LEFT)
         self._make = partial(
             MixedProblem, energy, self.fields, model.bcs, options={"snes_rtol": 1e-13}
         )
         self.problems = {solver: self._make(solver=solver) for solver in solvers}
         self.at_rest = [f.x.array.copy() for f in self.fields]
+
+    @cached_property
+    def energy(self):
+        return fem.form(self._energy)
 
     @cached_property
     def assembled(self):
