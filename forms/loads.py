@@ -15,6 +15,7 @@ from ufl.core.expr import Expr
 
 from forms.body import BodyLike
 from forms.kinematics import deformation_gradient
+from forms.tables import Table, check_table, look_up
 
 Vector = Sequence[float] | Callable[[float], Sequence[float]] | Expr
 """Components; a function from time [s] to them; or a `fem.Constant` of the user's own."""
@@ -96,7 +97,7 @@ class Timed(Load):
     """
 
     sized: ClassVar[str]
-    table: Sequence[Sequence[float]] | None = field(default=None, kw_only=True)
+    table: Table | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         """Check the table.
@@ -108,18 +109,14 @@ class Timed(Load):
             return
         if isinstance(getattr(self, self.sized), Expr):
             raise ValueError(f"a table goes with numbers, and {self.sized} is an expression")
-        if any(len(row) != 2 for row in self.table) or not self.table:
-            raise ValueError("table must have rows [time, factor]")
-        if np.any(np.diff([row[0] for row in self.table]) <= 0):
-            raise ValueError("table must have rows of growing times")
+        check_table(self.table, "factor", 2)
 
     def at(self, name: str, t: float) -> Any:
         """The value of an attribute at time t [s]."""
         value = super().at(name, t)
         if self.table is None or name != self.sized:
             return value
-        times, factors = np.array(self.table, dtype=float).T
-        return np.interp(t, times, factors) * np.array(value, dtype=float)
+        return look_up(self.table, t)[0] * np.array(value, dtype=float)
 
 
 @dataclass(eq=False)

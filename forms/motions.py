@@ -13,6 +13,7 @@ from dolfinx import fem
 
 from forms.body import BodyLike
 from forms.spaces import function
+from forms.tables import Table, check_table, look_up
 
 Array = npt.NDArray[np.float64]
 
@@ -129,7 +130,7 @@ class Timed(Motion):
     rate: Any = None
     start: float = field(default=0.0, kw_only=True)
     end: float | None = field(default=None, kw_only=True)
-    table: Sequence[Sequence[float]] | None = field(default=None, kw_only=True)
+    table: Table | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         """Check what goes together.
@@ -142,17 +143,13 @@ class Timed(Motion):
             raise ValueError("needs either a rate or a table")
         if self.end is not None and self.end < self.start:
             raise ValueError(f"end is {self.end:g} s, before start, {self.start:g} s")
-        if self.table is None:
-            return
-        widths = {len(row) for row in self.table}
-        if len(widths) != 1 or min(widths) < 2 or np.any(np.diff([r[0] for r in self.table]) <= 0):
-            raise ValueError("table must have rows [time, value], all alike, of growing times")
+        if self.table is not None:
+            check_table(self.table, "value")
 
     def come(self, t: float) -> Array:
         """How far the motion has come at time t [s]: a vector, or one number."""
         if self.table is not None:
-            times, *columns = np.array(self.table, dtype=float).T
-            return np.array([np.interp(t, times, column) for column in columns])
+            return look_up(self.table, t)
         if callable(self.rate):
             return np.atleast_1d(np.asarray(self.rate(t), dtype=float))
         elapsed = max((t if self.end is None else min(t, self.end)) - self.start, 0.0)
