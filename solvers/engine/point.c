@@ -11,7 +11,8 @@
      RANK       largest of the functions
      COLUMNS, WIDTH   NA + 1 and NE + 1 rounded up
      COUPLED    local unknowns that are coupled with arguments
-     PAIRS      NL/2 if the local block is (H, W; W, 0) with W diagonal, but for the order, else 0
+     PAIRS      of local unknowns whose block is (H, W; W, 0) with W diagonal, but for the order; or 0
+     OTHERS     local unknowns beside the pairs
    EACH_ARGUMENT(X): X(field, components, nodes, first dof in the cell, place of its value in y, of its
    gradient, of its basis) for each field of the whole cell, with -1 for what the density does not have;
    EACH_LOCAL(X): X(field, size, place in y).
@@ -52,8 +53,8 @@ INLINE void distribute(int bs, int nodes, int value, int gradient, double (*phi)
                        double *U) {
   for (int i = 0; i < bs; i++) for (int j = value < 0; j < 1 + (gradient < 0 ? 0 : DIM); j++) {
     double a = w*(j ? z[gradient+i*DIM+j-1] : z[value+i]);
-    if (nodes % 4 == 0) add(nodes, a, phi[j], U + i*nodes);
-    else for (int n = 0; n < nodes; n++) U[i*nodes+n] += a*phi[j][n]; }
+    add(nodes/4*4, a, phi[j], U + i*nodes);
+    for (int n = nodes/4*4; n < nodes; n++) U[i*nodes+n] += a*phi[j][n]; }
 }
 
 INLINE void gather(const Part *part, int cell, double *const *values, double *U) {
@@ -175,7 +176,7 @@ static const double of_arguments[COLUMNS] = {[0 ... NA - 1] = 1};
    (H - B^T D^-1 B, -B^T D^-1 b) of arguments. */
 INLINE int eliminate(const double *H, double (*solution)[COLUMNS], double (*A)[COLUMNS]) {
 #if PAIRS
-  double inverse[PAIRS], b[PAIRS];
+  double inverse[PAIRS], b[PAIRS], by[NL][OTHERS + 1]; /* the others */
   for (int i = 0; i < PAIRS; i++) {
     int s = strain[i], m = multiplier[i];
     double W = H[(NA+m)*NY+NA+s], x[COLUMNS] = {0};
@@ -183,6 +184,7 @@ INLINE int eliminate(const double *H, double (*solution)[COLUMNS], double (*A)[C
     inverse[i] = 1/W; b[i] = solution[s][NA];
     add(COLUMNS, inverse[i], H + (NA+m)*NY, x);
     copy(COLUMNS, x, solution[s]);
+    for (int k = 0; k < OTHERS; k++) by[s][k] = inverse[i]*H[(NA+m)*NY+NA+other[k]];
     solution[s][NA] = inverse[i]*solution[m][NA]; }
   for (int i = 0; i < PAIRS; i++) {
     const double *h = H + (NA+strain[i])*NY;
@@ -191,7 +193,30 @@ INLINE int eliminate(const double *H, double (*solution)[COLUMNS], double (*A)[C
     double last = x[NA] + inverse[i]*b[i];
     add(COLUMNS, inverse[i], h, x);
     copy(COLUMNS, x, solution[multiplier[i]]);
+    for (int k = 0; k < OTHERS; k++) {
+      double sum = h[NA+other[k]];
+      for (int j = 0; j < PAIRS; j++) sum -= h[NA+strain[j]]*by[strain[j]][k];
+      by[multiplier[i]][k] = inverse[i]*sum; }
     solution[multiplier[i]][NA] = last; }
+#if OTHERS
+  double D[OTHERS*OTHERS], right[OTHERS][COLUMNS], scale[OTHERS], work[OTHERS*COLUMNS];
+  int order[OTHERS];
+  for (int k = 0; k < OTHERS; k++) {
+    const double *h = H + (NA+other[k])*NY;
+    copy(COLUMNS, h, right[k]);
+    right[k][NA] = solution[other[k]][NA];
+    for (int l = 0; l < OTHERS; l++) D[k*OTHERS+l] = h[NA+other[l]];
+    for (int i = 0; i < 2*PAIRS; i++) {
+      int t = i < PAIRS ? strain[i] : multiplier[i-PAIRS];
+      add(COLUMNS, -h[NA+t], solution[t], right[k]);
+      for (int l = 0; l < OTHERS; l++) D[k*OTHERS+l] -= h[NA+t]*by[t][l]; } }
+  if (solve(OTHERS, COLUMNS, D, OTHERS, right[0], COLUMNS, scale, order, work)) return 1;
+  for (int k = 0; k < OTHERS; k++) {
+    for (int i = 0; i < PAIRS; i++) {
+      add(COLUMNS, -by[strain[i]][k], right[k], solution[strain[i]]);
+      add(COLUMNS, -by[multiplier[i]][k], right[k], solution[multiplier[i]]); }
+    copy(COLUMNS, right[k], solution[other[k]]); }
+#endif
 #elif NL
   double D[NL*NL], scale[NL], work[NL*COLUMNS];
   int order[NL];

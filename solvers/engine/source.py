@@ -277,7 +277,9 @@ class Source:
         # Unknowns coupled with a single other one and not with themselves, and that one.
         multipliers = [i for i in range(NL) if block[i].sum() == 1 and not block[i, i]]
         strains = [int(np.flatnonzero(block[i])[0]) for i in multipliers]
-        paired = 2 * len(set(strains)) == NL and not set(strains) & set(multipliers)
+        if len(set(strains)) < len(strains) or set(strains) & set(multipliers):
+            strains, multipliers = [], []
+        others = sorted(set(range(NL)) - {*strains, *multipliers})
         local = [f for f, size, _ in self.local for _ in range(size)]
         cellwise = [
             f
@@ -287,9 +289,11 @@ class Source:
         ]
         shared = [row[:4] for row in self.arguments if row[3] < self.sizes["NS"]]
         return [
-            f"#define PAIRS {len(strains) if paired else 0}",
+            f"#define PAIRS {len(strains)}",
+            f"#define OTHERS {len(others)}",
             f"static const int strain[] = {_braces(strains)};",
             f"static const int multiplier[] = {_braces(multipliers)};",
+            f"static const int other[] = {_braces(others)};",
             f"#define COUPLED {len(with_arguments)}",
             f"static const int coupled[] = {_braces(with_arguments)};",
             f"static const int local_field[] = {_braces(local)};",
