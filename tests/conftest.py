@@ -150,7 +150,7 @@ class ParallelRun:
             if time.monotonic() - start > limit:
                 self.abort(f"{where}, and the others have not come for {limit:g} s\n{failure}")
             time.sleep(pause)
-            pause = min(2 * pause, 1e-2)
+            pause = min(2 * pause, 1e-3)
         return rows
 
     def abort(self, message: str) -> None:

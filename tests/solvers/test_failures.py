@@ -122,10 +122,11 @@ def thrown(formulation, contrast):
     return run
 
 
-@pytest.mark.parametrize("formulation", ["displacement", "symmetric"])
-def test_inertia_beside_a_stiffness_1e12_times_as_large_is_balanced(formulation):
+@pytest.mark.parametrize(("formulation", "error"), [("displacement", 1e-2), ("symmetric", 1e-5)])
+def test_inertia_beside_a_stiffness_1e12_times_as_large_is_balanced(formulation, error):
+    """Rounding error of positions is a force in the one, and in the other only in S(F) = S."""
     u, v = (thrown(formulation, contrast).model.u.x.array for contrast in (1.0, 1e3))
-    assert largest(u - v) < 1e-3 * largest(u)
+    assert largest(u - v) < error * largest(u)
 
 
 def test_what_does_not_fit_double_precision_is_not_solved():
