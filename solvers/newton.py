@@ -95,7 +95,7 @@ class Newton:
         """Begin a solve from the present values of the fields. Collective."""
         for f, values in zip(self.system.fields, self._before, strict=True):
             values[:] = f.x.array
-        self.before = self._done or self._carried
+        self.before, self._carried = self._done or self._carried, 0
         self.history, self.failure = History(), ""
         self.guard.begin()
         if not self._scaled:
@@ -104,7 +104,7 @@ class Newton:
         self.system.unknowns.read(self.system.x)
         unknowns = self.system.unknowns
         self._rule.floor = unknowns.round_off(self.system.x) if self._exact else 0.0
-        self._rule.size = unknowns.size()
+        self._rule.size, self._rule.failure = unknowns.size(), ""
         self._withheld = 0.0
 
     def restart(self, note: str) -> None:
