@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 
-from forms.model import Energies, Integrals, Model
+from forms.model import Energies, Integrals, Model, total
 from forms.spaces import function
 from forms.time import Scheme
 
@@ -80,7 +80,7 @@ class Account:
         if of_stiffness is not None:
             # Quadratic in the change of the stretch, so twice is its derivative along that.
             dissipated.append(2 * of_stiffness)
-        self._works = Integrals(V.mesh.comm, [_total(loads), _total(dissipated)])
+        self._works = Integrals(V.mesh.comm, [total(loads), total(dissipated)])
         holder = np.full((len(u.x.array) // V.dofmap.bs, V.dofmap.bs), -1)
         for k, held in enumerate(model.held):
             holder[np.ix_(held.blocks, held.components)] = k
@@ -108,7 +108,3 @@ class Account:
             before.dissipated + dissipated / scheme.theta,
         )
         self._model.accept(scheme)
-
-
-def _total(terms: list[ufl.Form]) -> ufl.Form | None:
-    return sum(terms[1:], terms[0]) if terms else None

@@ -152,7 +152,7 @@ class Model:
         v = ufl.algorithms.expand_derivatives(ufl.derivative(u, self.u, test))
         terms = [load.work(self.body, u, v) for load in self.loads]
         done = [term for term in terms if term is not None]
-        return sum(done[1:], done[0]) if done else None
+        return total(done)
 
     def update(self, scheme: Scheme) -> None:
         """Put motions at the end of the coming step, and loads where the scheme takes them."""
@@ -221,8 +221,7 @@ class Model:
         if scheme.inertial:
             kinetic = scheme.kinetic_energy(self._density(scheme)) * ufl.dx
         elastic = self.psi(self.stretch(scheme)) * measure(self.u)
-        potentials = self.potentials(self.u)
-        potential = sum(potentials[1:], potentials[0]) if potentials else None
+        potential = total(self.potentials(self.u))
         return EnergyIntegrals(self.body.mesh.comm, (kinetic, elastic, potential))
 
     def _all_at_end(self, scheme: Scheme) -> bool:
@@ -250,6 +249,11 @@ class Model:
             name = type(scheme).__name__
             raise ValueError(f"{name} needs a density; give the model one: rho = ... [kg/m³]")
         return self.rho
+
+
+def total(terms: Sequence[ufl.Form]) -> ufl.Form | None:
+    """The sum of forms, None where there are none."""
+    return sum(terms[1:], terms[0]) if terms else None
 
 
 class Energies(NamedTuple):

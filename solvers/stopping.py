@@ -104,13 +104,13 @@ class StoppingRule:
         """
         steps = self._steps
         largest = max(steps[:-1], default=np.inf)
-        if steps[-1] <= min(defaults.SETTLED, defaults.LAST_STEP * largest):
+        shrinks = len(steps) < 2 or steps[-1] < steps[-2] / 2
+        part = defaults.LAST_STEP if shrinks else defaults.PART_OF_MOTION
+        least = 0.0 if shrinks else defaults.TREMBLE
+        if steps[-1] <= min(defaults.SETTLED, max(least, part * largest)):
             return int(Reason.CONVERGED_FNORM_ABS)
-        if len(steps) < 2 or steps[-1] < steps[-2] / 2:
+        if shrinks:
             return 0
-        tremble = max(defaults.TREMBLE, defaults.PART_OF_MOTION * largest)
-        if steps[-1] <= min(defaults.SETTLED, tremble):
-            return int(Reason.CONVERGED_FNORM_ABS)
         self.failure = (
             "rounding error of the stiffest part hides the forces on others: the numbers do not "
             "fit double precision"

@@ -207,14 +207,11 @@ INLINE int eliminate(const double *H, double (*solution)[COLUMNS], double (*A)[C
     right[k][NA] = solution[other[k]][NA];
     for (int l = 0; l < OTHERS; l++) D[k*OTHERS+l] = h[NA+other[l]];
     for (int i = 0; i < 2*PAIRS; i++) {
-      int t = i < PAIRS ? strain[i] : multiplier[i-PAIRS];
-      add(COLUMNS, -h[NA+t], solution[t], right[k]);
-      for (int l = 0; l < OTHERS; l++) D[k*OTHERS+l] -= h[NA+t]*by[t][l]; } }
+      add(COLUMNS, -h[NA+paired[i]], solution[paired[i]], right[k]);
+      for (int l = 0; l < OTHERS; l++) D[k*OTHERS+l] -= h[NA+paired[i]]*by[paired[i]][l]; } }
   if (solve(OTHERS, COLUMNS, D, OTHERS, right[0], COLUMNS, scale, order, work)) return 1;
   for (int k = 0; k < OTHERS; k++) {
-    for (int i = 0; i < PAIRS; i++) {
-      add(COLUMNS, -by[strain[i]][k], right[k], solution[strain[i]]);
-      add(COLUMNS, -by[multiplier[i]][k], right[k], solution[multiplier[i]]); }
+    for (int i = 0; i < 2*PAIRS; i++) add(COLUMNS, -by[paired[i]][k], right[k], solution[paired[i]]);
     copy(COLUMNS, right[k], solution[other[k]]); }
 #endif
 #elif NL

@@ -279,7 +279,8 @@ class Source:
         strains = [int(np.flatnonzero(block[i])[0]) for i in multipliers]
         if len(set(strains)) < len(strains) or set(strains) & set(multipliers):
             strains, multipliers = [], []
-        others = sorted(set(range(NL)) - {*strains, *multipliers})
+        paired = strains + multipliers
+        others = sorted(set(range(NL)) - set(paired))
         local = [f for f, size, _ in self.local for _ in range(size)]
         cellwise = [
             f
@@ -293,6 +294,7 @@ class Source:
             f"#define OTHERS {len(others)}",
             f"static const int strain[] = {_braces(strains)};",
             f"static const int multiplier[] = {_braces(multipliers)};",
+            f"static const int paired[] = {_braces(paired)};",
             f"static const int other[] = {_braces(others)};",
             f"#define COUPLED {len(with_arguments)}",
             f"static const int coupled[] = {_braces(with_arguments)};",

@@ -280,7 +280,10 @@ def test_what_is_refused(load, message):
     [
         (lambda: Traction((1.0, 0.0), table=[]), "rows .time, factor"),
         (lambda: Traction((1.0, 0.0), table=[(0.0, 0.0, 1.0)]), "rows .time, factor"),
-        (lambda: Gravity((1.0, 0.0), table=[(1.0, 0.0), (0.0, 1.0)]), "of growing times"),
+        (
+            lambda: Gravity((1.0, 0.0), table=[(1.0, 0.0), (0.0, 1.0)]),
+            "rows .time, factor., all alike, of growing times",
+        ),
         (
             lambda: Pressure(fem.Constant(bar(2).mesh, 1.0), table=[(0.0, 1.0)]),
             "a table goes with numbers, and value is an expression",
